@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from canopen_master.claims.channel_claim import ChannelTakenError as ChannelTakenError
     from canopen_master.commissioning import DriveCommissioning as DriveCommissioning
     from canopen_master.commissioning import commissioned_machine as commissioned_machine
+    from canopen_master.commissioning import commissioned_name as commissioned_name
     from canopen_master.errors import BusError as BusError
     from canopen_master.errors import CallTimeoutError as CallTimeoutError
     from canopen_master.errors import ChainError as ChainError

@@ -9,11 +9,13 @@ from canopen_master.motion.chain_file import ChainDescription, JointDescription
 
 
 def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | None = None) -> None:
-    """Make the nodes, joints and chains of a machine, in `master.nodes`, `master.joints` and `master.chains`.
+    """Make the nodes, joints and chains of a machine, in `master.nodes`, `master.joints` and `master.chains`; the
+    machine itself in `master.machine`.
 
     A node that has a file and is no joint exchanges its PDOs (`Node.keep_pdos`). Raises DataError, DictionaryError for a file
     that cannot be used, UnknownChainError for a bus that this master does not have.
     """
+    master.machine = machine
     files = Dictionaries(machine, master.dictionary) if dictionaries is None else dictionaries
     for bus in machine.buses.values():
         if (opened := master.bus(bus.name)).bitrate is None:  # else its transport knows better

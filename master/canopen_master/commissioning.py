@@ -20,6 +20,7 @@ these motions is slow; the drive's own value is written back behind each. A canc
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain, count
 from typing import Final, NamedTuple, TypeVar
 
 from canopen_master.machine_file import JointEntry, MachineFile, NodeEntry, machine_of_chains
@@ -81,13 +82,23 @@ class DriveCommissioning:
         if self._device is None:
             # Its scale is chosen later, so that it is not refused for lack of one
             given = replace(self.settings, counts_per_unit=self.settings.counts_per_unit or 1.0)
-            self._device = self.master.device(self.node, settings=given)
+            known = self.master.devices.get((self.node, 0))
+            if known is None or known.axis.settings != self.settings:
+                known = self.master.device(self.node, settings=given)
+            self._device, self._began = known, known.axis.settings
+            known.axis.settings = given
         return self._device.axis
 
     @property
     def unit_name(self) -> str:
         """The unit of its positions in the plural: "degrees", "counts"."""
         return COUNTS if self.settings.unit is None else f"{self.settings.unit.value}s"
+
+    def leave(self) -> None:
+        """Give the axis back the settings with which it began; what was found is in `settings`. For a program that goes on with
+        the drive, and may have it in a chain."""
+        if self._device is not None:
+            self._device.axis.settings = self._began
 
     async def _run(self, procedure: Procedure[T]) -> T:
         return await self.master.run(procedure)
@@ -213,13 +224,16 @@ def commissioned_machine(
     """Return a machine with a joint as it was commissioned.
 
     machine: None for a new one, with a chain of this joint; bus is a locator then, else the name of a bus of the machine. name:
-    of the joint if the machine has none there. file: of the drive, if the machine names none. master_id: the node-ID of the
-    master's heartbeat, which drives watch; None: as the machine has it.
+    what is asked for; the joint's is `commissioned_name`. file: of the
+    drive, if the machine names none. master_id: the node-ID of the master's heartbeat, which drives watch; None: as the machine
+    has it.
     """
     if machine is None:
         machine = machine_of_chains([ChainDescription(name, (JointDescription(name, bus, node_id),))])
         bus = next(iter(machine.buses))
-    node = machine.node_at(bus, node_id) or NodeEntry(name, bus, DeviceEntry("", (node_id,)))
+    known = machine.node_at(bus, node_id)
+    name = commissioned_name(machine, bus, node_id, name)
+    node = known or NodeEntry(name, bus, DeviceEntry("", (node_id,)))
     if file and not node.device.file:
         node = replace(node, device=replace(node.device, file=file))
     joint = machine.joint_on(node) or JointEntry(name, node.name)
@@ -232,3 +246,16 @@ def commissioned_machine(
         joints={**machine.joints, joint.name: replace(joint, settings=settings)},
         master=replace(machine.master, watchdog=watchdog),
     )
+
+
+def commissioned_name(machine: MachineFile | None, bus: str, node_id: int, name: str) -> str:
+    """Return the name that a joint has once it is commissioned: that of the machine, if it has a joint there. name: what is asked
+    for otherwise; with a number from 2 on if another node or joint has it, which stays as it is. bus: its name in the machine."""
+    if machine is None:
+        return name
+    known = machine.node_at(bus, node_id)
+    joint = None if known is None else machine.joint_on(known)
+    if joint is not None:
+        return joint.name
+    taken = {*machine.nodes, *machine.joints} - {"" if known is None else known.name}
+    return next(each for each in chain((name,), (f"{name}-{number}" for number in count(2))) if each not in taken)

@@ -20,7 +20,7 @@ from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
-from canopen_proto.explained import Explained
+from canopen_proto.explained import Explained, counted
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import NOT_CONFIRMED
@@ -225,7 +225,7 @@ def wrong_values(values: object, joints: int) -> str:
     if isinstance(values, str | bytes) or not isinstance(values, Sized) or not isinstance(values, Iterable):
         return f"{values!r} is no list of numbers"
     if len(values) != joints:
-        return f"{len(values)} for {joints} joints"
+        return f"{len(values)} for {counted(joints, 'joint')}"
     for each in values:
         if type(each) is not float and (isinstance(each, bool) or not isinstance(each, Real)):
             return f"{each!r} is no number"

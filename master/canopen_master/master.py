@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from canopen_data import load_dictionary
-from canopen_data.descriptions import load_description_with_names
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
 from canopen_master.node import Node
@@ -30,6 +29,7 @@ from canopen_transports.loop import CancelScope, protected
 from canopen_transports.realtime import Measure
 
 if TYPE_CHECKING:
+    from canopen_master.machine_file.model import MachineFile
     from canopen_master.motion.chain import Chain, ChainSettings
     from canopen_master.motion.chain_file import ChainDescription
     from canopen_master.motion.member import Member
@@ -47,8 +47,8 @@ class Master(Participant):
     """See this module's text. Participant says what it does on its buses.
 
     devices: the drives by node and axis. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
-    halts: once the master was left, the halts of its drives. realtime: what the operating system was asked for. Times are in
-    seconds here.
+    machine: that file, as it was read; None without one. halts: once the master was left, the halts of its drives. realtime: what
+    the operating system was asked for. Times are in seconds here.
     """
 
     def __init__(
@@ -72,6 +72,7 @@ class Master(Participant):
         self.chains: dict[str, Chain] = {}
         self.nodes: dict[str, Node] = {}
         self.joints: dict[str, Device] = {}
+        self.machine: MachineFile | None = None
         self.halts: list[Halt] = []
         self.realtime: tuple[Measure, ...] = ()
         self.watchdogs = Watchdogs(self, watchdog)
@@ -105,6 +106,8 @@ class Master(Participant):
         where = self.bus(bus)
         if has_file := isinstance(dictionary, str | Path):
             if str(dictionary) not in self._files:
+                from canopen_data.descriptions import load_description_with_names
+
                 self._files[str(dictionary)] = load_description_with_names(dictionary).dictionary
             dictionary = self._files[str(dictionary)]
         known = self._nodes.get((where, node_id))

@@ -25,11 +25,13 @@ from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
 from canopen_proto.drives.cia402.names import names_in_mode
 from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.drives.cia402.states import Command, enables_operation
+from canopen_proto.explained import counted
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoDifference
+from canopen_proto.pdo.settings import COB_ID, FIRST_PDO_RECORD, LAST_PDO_RECORD
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_transports.loop import current_loop, protected
@@ -196,10 +198,12 @@ class Node(Peer):
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, in the dictionary or not. For controlwords, see `write`. data: little-endian."""
         is_controlword = mux(index, subindex) in self._controlwords and len(data) == 2
-        if is_controlword and self.dictionary.get(index) is not None:
+        is_cob_id = subindex == COB_ID and len(data) == 4 and FIRST_PDO_RECORD <= index <= LAST_PDO_RECORD
+        known = self.dictionary.get(index, subindex)
+        if known is not None and (is_controlword or (is_cob_id and known.access.writable)):  # what they mean has consequences
             await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
             return
-        shown = data.hex() if len(data) <= MAX_SHOWN else f"{len(data)} bytes"
+        shown = data.hex() if len(data) <= MAX_SHOWN else counted(len(data), "byte")
         async with self._commanding(mux(index, subindex), int.from_bytes(data[:2], "little")):
             await self._download(
                 lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to"
@@ -240,12 +244,13 @@ class Node(Peer):
     async def exchange_pdos(self) -> tuple[PdoDifference, ...]:
         """Wait until the PDOs are exchanged (`keep_pdos`); return how the device's PDOs differ from those of its file.
 
-        Raises SdoTransferError if the device does not answer, InvalidPdoError, UnexpectedLengthError.
+        If we have set a PDO up anew since they were read (`configure_pdo`, or a write), all are read and exchanged once more, and
+        RPDOs must be enabled again (`enable_rpdo`). Raises SdoTransferError if the device does not answer, InvalidPdoError,
+        UnexpectedLengthError.
         """
         self.keep_pdos()
         assert self._pdos is not None
-        await self._pdos.wait()
-        return self._pdos.differences
+        return await self._pdos.compare()
 
     @protected
     def enable_rpdo(self, number: int, enabled: bool = True) -> None:
@@ -400,7 +405,7 @@ class Node(Peer):
             UNEXPECTED_ANSWER,
             self.node_id,
             self.bus,
-            f"node {self.node_id} answered reading {variable.label} with {len(uploaded.data)} bytes",
+            f"node {self.node_id} answered reading {variable.label} with {counted(len(uploaded.data), 'byte')}",
             seen=str(error),
             cause="the device is not the one that the dictionary describes",
             tries=(

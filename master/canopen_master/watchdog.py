@@ -215,7 +215,7 @@ def _next_beat(heartbeat: OwnHeartbeat) -> Procedure[None]:
 
 
 class NodeWatchdog:
-    """The watchdog of one drive, as its Axis uses it; see canopen_proto.drives.axis.axis.AxisWatchdog."""
+    """The watchdog of one drive, as its Axis uses it; see canopen_proto.drives.axis.axis_node.AxisWatchdog."""
 
     def __init__(self, watchdogs: Watchdogs, node: Peer, axis: int) -> None:
         self._watchdogs = watchdogs

@@ -24,7 +24,7 @@ from canopen_master.blocking.twin import (
 )
 from canopen_master.commissioning import _NO_SETTINGS, DriveCommissioning, HomingMethods
 from canopen_master.errors import ChainError
-from canopen_master.machine_file import MachineFile
+from canopen_master.machine_file.model import MachineFile
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_file import ChainDescription
 from canopen_master.motion.chain_settings import ChainSettings
@@ -216,7 +216,9 @@ class BlockingNode(NodeTwin):
     def exchange_pdos(self, *, timeout: float | None = None) -> tuple[PdoDifference, ...]:
         """Wait until the PDOs are exchanged (`keep_pdos`); return how the device's PDOs differ from those of its file.
 
-        Raises SdoTransferError if the device does not answer, InvalidPdoError, UnexpectedLengthError.
+        If we have set a PDO up anew since they were read (`configure_pdo`, or a write), all are read and exchanged once more, and
+        RPDOs must be enabled again (`enable_rpdo`). Raises SdoTransferError if the device does not answer, InvalidPdoError,
+        UnexpectedLengthError.
         """
         return self._hub.run(timeout, self._inner.exchange_pdos)
 
@@ -517,6 +519,8 @@ class BlockingSubscription(Twin[Subscription[E]], Generic[E]):
     """The blocking Subscription. An iterator over events: `for event in subscription`. Made by `Master.events`; `with` or `with`
     ends it.
 
+    Events that came together are handed over without a checkpoint between them, up to HANDED_OVER.
+
     dropped: the number of events that were lost because the reader was too slow.
 
     close: ends the watch. size: how many events wait at most.
@@ -534,6 +538,10 @@ class BlockingSubscription(Twin[Subscription[E]], Generic[E]):
         end.
         """
         return self._hub.run(timeout, self._inner.receive)
+
+    def receive_batch(self, *, timeout: float | None = None) -> list[E]:
+        """Wait for the next event, and return all that are there. Ends as `receive` does."""
+        return self._hub.run(timeout, self._inner.receive_batch)
 
     def take(self) -> list[E]:
         """Return all waiting events at once."""
@@ -981,8 +989,8 @@ class BlockingMaster(MasterTwin):
     """The blocking Master. Participant says what it does on its buses.
 
     devices: the drives by node and axis. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
-    halts: once the master was left, the halts of its drives. realtime: what the operating system was asked for. Times are in
-    seconds here.
+    machine: that file, as it was read; None without one. halts: once the master was left, the halts of its drives. realtime: what
+    the operating system was asked for. Times are in seconds here.
     """
 
     @property
@@ -1011,6 +1019,11 @@ class BlockingMaster(MasterTwin):
         """As of the async Master; see the text of this class."""
         found = self._inner.joints
         return {name: self._hub.twin(BlockingDevice, each) for name, each in dict(found).items()}
+
+    @property
+    def machine(self) -> MachineFile | None:
+        """As of the async Master; see the text of this class."""
+        return self._inner.machine
 
     @property
     def halts(self) -> list[Halt]:
@@ -1244,6 +1257,12 @@ class BlockingDriveCommissioning(Twin[DriveCommissioning]):
     def unit_name(self) -> str:
         """The unit of its positions in the plural: "degrees", "counts"."""
         return self._hub.do(lambda: self._inner.unit_name)
+
+    def leave(self) -> None:
+        """Give the axis back the settings with which it began; what was found is in `settings`. For a program that goes on with
+        the drive, and may have it in a chain.
+        """
+        self._hub.do(self._inner.leave)
 
     def look(self, *, timeout: float | None = None) -> DriveView:
         """Return what the drive shows. Raises NodeIsNoDriveError."""

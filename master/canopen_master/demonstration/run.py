@@ -36,6 +36,7 @@ from canopen_proto.drives.cia402.modes import Mode, mode_name
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports.loop import current_loop
+from canopen_transports.loop.beside import beside
 
 HARDWARE_DELAY: Final = 3
 """Seconds before real drives begin to move: time to take one's hands away, or to press Ctrl-C."""
@@ -355,21 +356,15 @@ class Demonstration:
 
     async def _move_to(self, arm: Chain, targets: Sequence[float]) -> None:
         """Move to a target by a plan, and record that behind what was recorded so far."""
-        begin, failure = self.recording.times[-1], None
+        begin = self.recording.times[-1]
 
         async def record() -> None:
             async for progress in arm.progress():
                 self._record(begin + progress.time)
 
-        async with current_loop().open_nursery() as nursery:
+        async with beside(current_loop().open_nursery()) as nursery:
             nursery.start_soon(record)
-            try:
-                await arm.move(targets)
-            except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
-                failure = error
-            nursery.cancel_scope.cancel()
-        if failure is not None:
-            raise failure
+            await arm.move(targets)
 
     def _break(self, node_id: int) -> None:
         assert self._drives is not None

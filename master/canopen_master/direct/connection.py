@@ -28,6 +28,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import TransportError, open_transport
+from canopen_transports.loop.beside import beside
 from canopen_transports.realtime import Realtime
 
 R = TypeVar("R")
@@ -185,18 +186,11 @@ async def _master(
     prepare: Callable[[Master], object],
 ) -> AsyncIterator[Master]:
     """Open the master inside the simulated drives: they must outlive it, because it halts them at its end."""
-    failure: Exception | None = None
     async with AsyncExitStack() as stack:
         if simulated:
-            nursery = await stack.enter_async_context(trio.open_nursery())
-            stack.callback(nursery.cancel_scope.cancel)
-        try:
-            for locator, devices in simulated:
-                await nursery.start(simulate, await open_transport(locator), devices)
-            async with open_it() as master:
-                prepare(master)
-                yield master
-        except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
-            failure = error
-    if failure is not None:
-        raise failure
+            nursery = await stack.enter_async_context(beside(trio.open_nursery()))
+        for locator, devices in simulated:
+            await nursery.start(simulate, await open_transport(locator), devices)
+        async with open_it() as master:
+            prepare(master)
+            yield master

@@ -36,7 +36,8 @@ from canopen_master.silence import missing_frame
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import AxisSettings
-from canopen_proto.drives.axis.following import FollowingLost, read_unsent
+from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.following_procedures import read_unsent
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.limits import read_limits
 from canopen_proto.drives.axis.reasons import Reason

@@ -16,6 +16,7 @@ from canopen_proto.drives.trajectory import PathPoint
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports.loop import current_loop
+from canopen_transports.loop.beside import beside
 
 
 async def move_while_held(drive: DirectDrive, speed: float, held: Callable[[], bool]) -> None:
@@ -59,7 +60,7 @@ class _Motion:
 
     async def to_its_end(self) -> None:
         """Move until it ends, and the drive has the set-point at which it stands. Raises what ended it."""
-        async with current_loop().open_nursery() as nursery:
+        async with beside(current_loop().open_nursery()) as nursery:
             nursery.start_soon(self.listen)
             try:
                 await self.run()
@@ -68,8 +69,6 @@ class _Motion:
                     self._stream.stop()
                     await self.run()
                 raise
-            finally:
-                nursery.cancel_scope.cancel()
         if self.failure is not None:
             raise self.failure
 

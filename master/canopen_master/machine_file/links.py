@@ -52,18 +52,17 @@ def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> Link
     on_bus = [node for node in machine.nodes.values() if node.bus == bus]
     names = {node.name for node in on_bus}
     links = [link for link in machine.links if {end.node for end in (*link.sources, *link.targets)} & names]
-    booted = network_of(machine, bus, dictionaries).entry.nodes
+    configured = configured_dictionaries(machine, bus, dictionaries)
     members = []
     for node in on_bus:
         description = dictionaries.description_of(node)
         if description is None:
             continue
-        entry = booted.get(node.node_id)
         members.append(
             KnownNode(
                 node.name,
                 node.node_id,
-                _configured(description.dictionary, () if entry is None else entry.configuration, node.node_id),
+                configured[node.name],
                 description.device_info.granularity,
                 frozenset(each for each, is_usable in (description.dummies or {}).items() if is_usable),
                 tuple(_used_by_chains(machine, node, description.dictionary, dictionaries.names)),
@@ -74,6 +73,21 @@ def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> Link
         return plan_links(members, links, [node.node_id for node in on_bus])
     except LinkError as error:
         raise DictionaryError(list(_findings(machine, error))) from error
+
+
+def configured_dictionaries(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> dict[str, ObjectDictionary]:
+    """Return the dictionaries of the nodes on a bus that have a file, by name: with the values that a boot writes, links apart.
+
+    Raises as `network_of`. bus: its name in the machine file.
+    """
+    booted = network_of(machine, bus, dictionaries).entry.nodes
+    found = {}
+    for node in machine.nodes.values():
+        if node.bus == bus and (description := dictionaries.description_of(node)) is not None:
+            entry = booted.get(node.node_id)
+            writes = () if entry is None else entry.configuration
+            found[node.name] = _configured(description.dictionary, writes, node.node_id)
+    return found
 
 
 def linked_writes(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> dict[str, list[Write]]:

@@ -25,6 +25,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import named_pdos, plan_joint
 from canopen_master.motion.member import Member
 from canopen_master.participant.bus import Bus
+from canopen_proto.explained import counted
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.locator import bitrate_text
 
@@ -92,7 +93,7 @@ def _exchanges(joints: Iterable[Joint]) -> list[Exchange]:
 
 def _told(bus: Bus, cycle: Time, room: Room) -> str:
     assert bus.bitrate is not None
-    frames = f"SYNC, {room.rpdos} RPDOs and {room.tpdos} TPDOs need up to {milliseconds(room.needed)}"
+    frames = f"SYNC, {counted(room.rpdos, 'RPDO')} and {counted(room.tpdos, 'TPDO')} need up to {milliseconds(room.needed)}"
     return f"{frames} of a cycle of {milliseconds(cycle)} on {bus.name} at {bitrate_text(bus.bitrate)}bit/s"
 
 

@@ -30,6 +30,8 @@ from canopen_proto.procedures.steps import SdoTransferError
 
 FIND: Final = "find the cause"
 """The step before a recovery."""
+MONITORING: Final = 0x8000
+"""Error codes from here on (CiA 301, table 26) may come of what a master does: communication, following errors, a maker's."""
 
 
 def joint_failed(chain: str, operation: str, failed: JointError) -> ChainError:
@@ -111,7 +113,11 @@ def joint_fault(chain: str, device: Device, reason: str, cause: Reason | None = 
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
     view = device.last_look or view_of(device.axis)
     # It took positions until then, so it is no drive that takes none before it is homed
-    found = cause or outer_reason(replace(view, is_homed=None))
+    found = outer_reason(replace(view, is_homed=None))
+    if cause is not None and device.has_fault and found is not None and 0 < device.error_code < MONITORING:
+        found = Reason(f"{found.what}; beside it, {cause.what}", found.remedy)  # the drive itself says what failed
+    elif cause is not None:
+        found = cause
     step = FIND if found is None or device.has_fault else found.remedy
     home_again = ", chain.home(if_needed=True) and chain.follow()" if device.axis.has_lost_reference else ""
     return ChainFaultError(

@@ -170,14 +170,14 @@ class SetPoints:
     def give(self, positions: Sequence[float], cycles: int) -> None:
         """See Chain.set_positions. positions: one for each joint, in its unit. cycles: 1 or more, over which they are reached in
         a straight line."""
-        self._check(positions, cycles)
+        positions = self._check(positions, cycles)
         self._path.clear()
         if cycles == 1:
-            self._put(list(positions))
+            self._put(positions)
         else:
             shares = [number / cycles for number in range(1, cycles)]
             self._path.extend([a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares)
-            self._path.append(list(positions))
+            self._path.append(positions)
             self._put_next()
         self.given_in = self.number
 
@@ -210,7 +210,8 @@ class SetPoints:
             self._take(point)
         elif not self.is_on_path:
             self._write()
-        self.tick.unpark_all()
+        if self.tick:
+            self.tick.unpark_all()
 
     def must_look(self, late: Time) -> bool:
         """Return whether a joint has to be asked where it is before a SYNC that is late by so many ns is sent."""
@@ -250,8 +251,7 @@ class SetPoints:
 
     def _take(self, point: SourcePoint) -> None:
         """Put the set-points of the source into the images. Raises SetPointRefusedError; some images may have changed then."""
-        self._check(point.positions, 1)
-        self._next, self._point, self._is_new = list(point.positions), point, True
+        self._next, self._point, self._is_new = self._check(point.positions, 1), point, True
         self._write()
 
     def _put_next(self) -> None:
@@ -280,8 +280,8 @@ class SetPoints:
             except (LocalProtocolError, ValueRangeError) as error:
                 raise refused(device, position, str(error)) from error
 
-    def _check(self, positions: Sequence[float], cycles: int) -> None:
-        """Raise as `Chain.set_positions` does."""
+    def _check(self, positions: Sequence[float], cycles: int) -> list[float]:
+        """Return set-points as floats: they may be numbers of numpy. Raises as `Chain.set_positions` does."""
         if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
             raise LocalProtocolError(f"set-points are reached in 1 cycle or more, a whole number, not {cycles!r}")
         if wrong := wrong_values(positions, len(self.devices)):
@@ -289,12 +289,15 @@ class SetPoints:
             failed = "the set-points are not one number for each joint"
             raise SetPointRefusedError(failed, "", f"{wrong}; the joints are {names}", ("[0.1, 0.2, ...]",))
         time, max_step = cycles * self._period, self.max_step
-        for device, target, start in zip(self.devices, positions, self.sent, strict=True):
-            check_set_point(device, start, target, time)
+        targets = [*map(float, positions)]
+        for device, given, target, start in zip(self.devices, positions, targets, self.sent, strict=True):
+            if not device.limits.allows(start, target, time):  # this says why not, or lets a joint come back to its limits:
+                check_set_point(device, start, given if isinstance(given, int) else target, time)
             if max_step is not None and abs(target - start) / cycles > max_step * (1 + 1e-9):  # no refusal for a rounding error
                 step = abs(target - start) / cycles
                 seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {max_step:g}"
-                raise refused(device, target, seen, ("a finer path, more `cycles`, or a larger max_step",))
+                raise refused(device, given, seen, ("a finer path, more `cycles`, or a larger max_step",))
+        return targets
 
 
 class Cycles:

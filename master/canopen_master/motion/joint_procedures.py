@@ -22,7 +22,8 @@ from canopen_proto.drives.axis import (
     start_cyclic_position,
     start_interpolation,
 )
-from canopen_proto.drives.axis.following_error import UNCERTAIN, following_limit
+from canopen_proto.drives.axis.following_error import UNCERTAIN
+from canopen_proto.drives.axis.following_procedures import following_limit
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.limits import Limit, read_limits
 from canopen_proto.drives.axis.motion_plan import exchange_planned, plan_motion, read_modes

@@ -32,6 +32,7 @@ from canopen_master.motion.supervision import Supervision
 from canopen_master.participant.dispatch import ProcedureTakenBackError
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.reasons import Reason
+from canopen_proto.explained import counted
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 from canopen_transports.loop import current_loop
@@ -443,4 +444,4 @@ class Member:
             assert self.motion is not None  # a loop gets this error itself
             self.motion.fail(error)
         if set_points.missed_in_row >= self.settings.max_missed_cycles:
-            self.stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")
+            self.stop(f"because {counted(set_points.missed_in_row, 'cycle')} in a row brought no set-points")

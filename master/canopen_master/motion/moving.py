@@ -28,15 +28,14 @@ from canopen_master.errors import (
     MotionReplacedError,
     PathRefusedError,
     PlanRefusedError,
-    with_names,
 )
 from canopen_master.motion.device import Device
 from canopen_master.motion.member import Member
-from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
+from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin
 from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
-from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps
+from canopen_proto.drives.trajectory.margin import Margin
 from canopen_proto.drives.trajectory.path_clock import check_override
 from canopen_proto.machine import LocalProtocolError
 from canopen_transports.loop import current_loop, protected
@@ -102,11 +101,11 @@ class Moving:
             await self._take_over("follow a path", path, torques, is_checked=False)
             return
         await self._begin_following("follow a path")
-        self._require_free("follow a path")
+        self._require_free()
         limits = self.path_limits
         await check_path(self._devices, path, self._present(), limits, self._period)
-        margin = await self._margin(path, limits)
-        self._require_free("follow a path")  # other tasks ran meanwhile
+        margin = await find_margin(self._devices, path, limits, self._period)
+        self._require_free()  # other tasks ran meanwhile
         start = self._present()
         check_start(self._devices, path, start, limits, self._period)
         await self._run(self._clock(path, limits, margin, is_moving=False), start, torques)
@@ -287,9 +286,9 @@ class Moving:
             if not member.desired:
                 await member.follow_set_points(what)
 
-    def _require_free(self, what: str) -> None:
+    def _require_free(self) -> None:
         for member in self._members:
-            member.require_free(what)
+            member.require_free("follow a path")
 
     def _require_movable(self, what: str) -> None:
         """Raise unless all chains follow set-points, and nothing else moves any of them than one motion of just these."""
@@ -325,7 +324,7 @@ class Moving:
                 await check_path(self._devices, path, start, limits, self._period)
             try:
                 if not is_moving:
-                    margin = await self._margin(path, limits)
+                    margin = await find_margin(self._devices, path, limits, self._period)
                     if self._present() != start:
                         continue  # other tasks ran meanwhile
                 clock = self._clock(path, limits, margin, is_moving=is_moving)
@@ -337,15 +336,8 @@ class Moving:
                 await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
         await self._run(clock, start, torques)
 
-    async def _margin(self, path: Path, limits: Sequence[JointLimits]) -> Margin:
-        """Find what the path leaves free, while other tasks go on. Raises PathRefusedError."""
-        try:
-            return await in_steps(margin_in_steps(path, limits, self._period, LONGEST_STOP))
-        except PathError as error:
-            raise self._cannot_be_followed(error) from error
-
     def _clock(self, path: Path, limits: Sequence[JointLimits], margin: Margin | None, *, is_moving: bool) -> PathClock:
-        """Return the clock of a path. margin: of `_margin`; None: it is found in this turn."""
+        """Return the clock of a path. margin: of `find_margin`; None: it is found in this turn."""
         try:
             return PathClock(
                 path,
@@ -357,7 +349,7 @@ class Moving:
                 margin=margin,
             )
         except PathError as error:
-            raise self._cannot_be_followed(error) from error
+            raise cannot_be_followed(self._devices, error) from error
 
     @protected
     async def _run(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> None:
@@ -396,10 +388,6 @@ class Moving:
         if motion.was_replaced:
             names, seen = ", ".join(member.name for member in self._members), "another motion took over, from where it was"
             raise MotionReplacedError(CHAIN_FAILED, names, f"chain {names} did not end its motion", seen=seen)
-
-    def _cannot_be_followed(self, error: PathError) -> PathRefusedError:
-        text, _, tries = with_names(str(error), self._names).partition(" Try: ")
-        return PathRefusedError("the path cannot be followed", seen=text, tries=(tries,) if tries else ())
 
     async def next_news(self) -> None:
         """Wait until a motion begins, or goes on by a cycle, or ends."""

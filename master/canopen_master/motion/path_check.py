@@ -10,10 +10,12 @@ import math
 from collections.abc import Generator, Sequence
 from typing import Final, TypeVar
 
-from canopen_master.errors import PathRefusedError
+from canopen_master.errors import PathRefusedError, with_names
 from canopen_master.motion.device import Device
-from canopen_proto.drives.trajectory import JointLimits, LimitViolation, Path, PathPoint, first_violation
+from canopen_master.motion.path_motion import LONGEST_STOP
+from canopen_proto.drives.trajectory import JointLimits, LimitViolation, Path, PathError, PathPoint, first_violation
 from canopen_proto.drives.trajectory.limit_check import first_violation_in_steps
+from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps
 from canopen_transports.loop import current_loop
 
 START_COUNTS: Final = 2
@@ -46,6 +48,23 @@ async def check_path(
     violation = await in_steps(first_violation_in_steps(path, limits, cycle_time))
     if violation is not None:
         raise beyond_limit(devices[violation.joint], violation)
+
+
+async def find_margin(devices: Sequence[Device], path: Path, limits: Sequence[JointLimits], cycle_time: float) -> Margin:
+    """Find what a path leaves free for a stop along it, while other tasks go on. Raises PathRefusedError if that is too little.
+
+    limits: of each joint. cycle_time: in s.
+    """
+    try:
+        return await in_steps(margin_in_steps(path, limits, cycle_time, LONGEST_STOP))
+    except PathError as error:
+        raise cannot_be_followed(devices, error) from error
+
+
+def cannot_be_followed(devices: Sequence[Device], error: PathError) -> PathRefusedError:
+    """Return the error for a path on which the chain could not stop."""
+    text, _, tries = with_names(str(error), [device.name for device in devices]).partition(" Try: ")
+    return PathRefusedError("the path cannot be followed", seen=text, tries=(tries,) if tries else ())
 
 
 def check_now(devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float) -> None:

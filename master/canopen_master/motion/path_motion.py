@@ -122,8 +122,8 @@ class Lane:
         return self._part(self._motion) if self._motion.stand_at(self._begin, positions) else None
 
     def _part(self, motion: Motion) -> SourcePoint:
-        positions, velocities, torques = motion.point.positions, motion.point.velocities, motion.torques
-        return SourcePoint(*(values[self._begin : self._end] for values in (positions, velocities, torques)))
+        point, torques, begin, end = motion.point, motion.torques, self._begin, self._end
+        return SourcePoint(point.positions[begin:end], point.velocities[begin:end], torques[begin:end])
 
 
 class Motion:
@@ -162,6 +162,9 @@ class Motion:
         self._at_rest = 0  # cycles since the generator is at its end, or at rest
         self._braked = 0  # cycles
         self.news = current_loop().parking_lot()
+        self._end = current_loop().parking_lot()  # woken at the end only
+        self._clock = current_loop().clock()
+        self._went_on = self._clock()  # seconds: when it last gave a point, or was told to brake
 
     @property
     def time(self) -> float:
@@ -178,6 +181,7 @@ class Motion:
         if not self.is_braking:
             self.is_braking = True
             self.generator.stop()
+            self._went_on = self._clock()
             self.news.unpark_all()
 
     def halt(self, why: str) -> None:
@@ -192,7 +196,7 @@ class Motion:
             self.is_over = True
             for lane in self.lanes:
                 lane.follower.source_over(lane, problem)
-            self.news.unpark_all()
+            self._tell_end()
 
     def fail(self, error: Exception) -> None:
         """End because of an error, which is then the caller's."""
@@ -203,17 +207,22 @@ class Motion:
     def abandon(self) -> None:
         """End without a word to the chains: the master ends, and halts all drives by itself."""
         self.is_over = True
-        self.news.unpark_all()
+        self._tell_end()
 
     def hand_over(self, motion: Motion) -> None:
         """Let another motion of the same joints go on from the present point."""
         self.is_over = self.was_replaced = True
         motion.begin()
+        self._tell_end()
+
+    def _tell_end(self) -> None:
         self.news.unpark_all()
+        self._end.unpark_all()
 
     def advance(self, skipped: int) -> None:
         """Go on to the next point, behind a SYNC. skipped: periods without a SYNC before it."""
         self.cycles += 1
+        self._went_on = self._clock()
         if self._at_rest:
             self._at_rest += 1
             if not all(lane.follower.is_on_path for lane in self.lanes):
@@ -237,7 +246,8 @@ class Motion:
             self._at_rest = 1
         elif self._braked * self._period > LONGEST_STOP:
             self.end(TOO_LONG)
-        self.news.unpark_all()
+        if self.news:  # a look at it costs less than the call, in each cycle
+            self.news.unpark_all()
 
     def stand_at(self, first: int, positions: Sequence[float]) -> bool:
         """Go on from where the joints are behind a gap, from joint `first` on, unless they have to come back to a path.
@@ -267,14 +277,22 @@ class Motion:
         self.end(TOO_LONG)
 
     async def over(self) -> None:
-        """Wait until it is over. It ends if no SYNC comes: a motion counts its time in SYNCs."""
+        """Wait until it is over. It ends if no SYNC comes: a motion counts its time in SYNCs.
+
+        The task is not woken in each cycle: it looks when the last point that it knows of is too old.
+        """
         await current_loop().checkpoint()
         patience = max(WITHOUT_SYNC, SYNCS_LOST * self._period)
+        since = self._clock()
         while not self.is_over:
-            with current_loop().move_on_after(patience) as scope:
-                await self.news.park()
-            if scope.cancelled_caught and (self.is_braking or not all(lane.follower.has_sync for lane in self.lanes)):
+            with current_loop().move_on_at(since + patience) as scope:  # which may be over, behind a stall
+                await self._end.park()
+            if not scope.cancelled_caught or self._went_on > since:
+                since = max(since, self._went_on)
+            elif self.is_braking or not all(lane.follower.has_sync for lane in self.lanes):
                 self.end(NO_SYNC)
+            else:
+                since = self._clock()
 
     def _checked(self, torques: Sequence[float]) -> list[float]:
         """Return the torques as numbers, one for each joint. Raises PathRefusedError, as whatever a function of the user's

@@ -28,6 +28,7 @@ from canopen_master.participant.dispatch import Watcher
 from canopen_master.participant.participant import Participant
 from canopen_proto.drives.axis.settings import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drives.trajectory import PathClock
+from canopen_proto.explained import counted
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.sync import SyncSent
 from canopen_transports.loop import current_loop
@@ -80,7 +81,7 @@ class Recorder:
         devices[0].node.remote.add_listener(on_sync=self._end_row)
 
     def __repr__(self) -> str:
-        return f"<Recorder {self.path}: {self.rows} rows>"
+        return f"<Recorder {self.path}: {counted(self.rows, 'row')}>"
 
     def close(self) -> None:
         """End the recording with the row that is open. The thread finishes the file by itself."""
@@ -102,10 +103,10 @@ class Recorder:
         """
         self._thread.join()
         if self.failure is not None:
-            seen = f"{getattr(self.failure, 'strerror', None) or self.failure} after {self.rows - self.lost} rows"
+            seen = f"{getattr(self.failure, 'strerror', None) or self.failure} after {counted(self.rows - self.lost, 'row')}"
             raise RecordError(INCOMPLETE, f"the recording {self.path} is not complete", seen=seen, tries=("make room",))
         if self.lost:
-            seen = f"{self.lost} of {self.rows} rows are not in it: they came faster than they could be written"
+            seen = f"{self.lost} of {counted(self.rows, 'row')} missing in it: they came faster than they could be written"
             tries = ("a faster disk", "fewer joints or a longer cycle")
             raise RecordError(INCOMPLETE, f"the recording {self.path} is not complete", seen=seen, tries=tries)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TypeVar
 
 from canopen_master.errors import NodeIsNoDriveError
-from canopen_proto.drives.axis import shut_down
+from canopen_proto.drives.axis import halt, shut_down
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.axis.reasons import look_at
@@ -30,11 +31,17 @@ def look_at_drive(node: AxisNode, settings: AxisSettings = OPEN_SETTINGS) -> Pro
 
 
 def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
-    """Run a procedure that gives the drive power, and take the power away at its end, also if it fails or is cancelled."""
+    """Run a procedure that gives the drive power, and take the power away at its end, also if it fails or is cancelled.
+
+    If a stop has taken it over, the power goes once the drive stands, or when it does not brake.
+    """
     try:
         result = yield from procedure
     except (Cancelled, Exception) as cause:
         try:
+            if axis.occupancy.stops:  # that of somebody else: it may brake yet
+                with suppress(ProcedureError):
+                    yield from halt(axis)
             yield from shut_down(axis)
         except ProcedureError as error:
             if isinstance(cause, Cancelled):

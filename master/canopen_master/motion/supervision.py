@@ -24,7 +24,8 @@ from canopen_master.motion.late_sync import RECENT, our_lateness
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.axis import AxisStateChanged
-from canopen_proto.drives.axis.following import FollowingLost, read_unsent
+from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.following_procedures import read_unsent
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.slow_position import feed_targets
 from canopen_proto.drives.axis.view import view_of

@@ -14,6 +14,9 @@ and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, 
 **Filters.** A transport that filters (`filtered`) gets the CAN-IDs that our machines want, and gets them again when they change.
 The Network then knows that it does not hear everything.
 
+**Listeners** (`Bus.listen`) are told each frame that passes, in its order: for a recording, or a display. While there is one, the
+transport leaves out no frame.
+
 **When a bus is away** for a while, and its transport reports that it may come back (BusStateChanged: interface down, bus-off),
 frames that cannot be sent are dropped and counted in `FramesNotSent`. Keeping them would be dangerous: an old set-point, sent
 when the bus comes back, would make a drive jump. Requests time out, and their errors say why (`Network.outage`).
@@ -23,9 +26,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator, Sequence
-from typing import Final
+from typing import Final, TypeAlias
 
-from canopen_proto.frame import Frame, frame_for_key
+from canopen_proto.frame import Frame, RoutingKey, frame_for_key
 from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.network import Network
@@ -61,7 +64,15 @@ SDO_GUARD: Final = 300 * MICROSECOND
 SAME_SYNC: Final = 10
 """SYNCs that come within this part of their period were waiting for this process, which was stalled."""
 
+MAX_HELD: Final = 256
+"""Received frames that wait for the one that is being sent, before a listener is told of both."""
+
+HeardFrame: TypeAlias = Callable[[Frame, Time, "int | None", bool], None]
+"""Takes a frame, the participant's time (ns), the transport's own time stamp (ns) if it has one, and whether we have sent it."""
+
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
+_NOT_ASKED: Final = (RoutingKey(-1),)
+"""What nobody wants: the first filters are always others."""
 _BUS_OFF: Final = BusState.BUS_OFF
 
 
@@ -145,22 +156,44 @@ class Bus:
         self._eager = transport if isinstance(transport, EagerTransport) else None
         self._batch = transport if isinstance(transport, BatchTransport) else None
         self._prompt = transport if isinstance(transport, PromptTransport) else None
-        self._wanted: tuple[int, ...] | None = None
+        self._wanted: tuple[RoutingKey, ...] | None = _NOT_ASKED  # None: all
         self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
         self._period: Time = 0  # of the transport's SYNC
         self._last_sync: Time | None = None
         self._loop = current_loop()
         self._work = self._loop.parking_lot()  # the sender waits for frames
         self._sent = self._loop.parking_lot()  # others wait for the sender
+        self._listeners: tuple[HeardFrame, ...] = ()
+        self._held: list[tuple[Frame, Time, int | None, bool]] = []  # what listeners are told behind a frame that is being sent
+        self._handing = 0  # frames that are being handed over at once: others may come before that has returned
 
     @property
     def bits(self) -> int:
         """See the class."""
         return self._own_bits + self.network.bits
 
-    def count_bits(self, frame: Frame) -> None:
-        """Count a frame that passed beside `take_in`."""
+    def note(self, frame: Frame, now: Time, *, is_sent: bool) -> None:
+        """Count a frame that passed beside `take_in`, and tell the listeners."""
         self._own_bits += FRAME_BITS[len(frame.data)]
+        if not self._listeners:
+            return
+        if is_sent:
+            self._held.insert(0, (frame, now, None, True))
+            self._tell_held()
+        else:
+            self._tell_received(frame, now, None)
+
+    def listen(self, heard: HeardFrame) -> Callable[[], None]:
+        """Call `heard` with each frame that is received or sent from now on; return what ends that. It must not raise, and must
+        not block: it is called in the turn of the pump. A frame that we send is told once the transport has it."""
+        self._listeners = (*self._listeners, heard)
+        self.renew_filters()
+
+        def end() -> None:
+            self._listeners = tuple(each for each in self._listeners if each is not heard)
+            self.renew_filters()
+
+        return end
 
     @property
     def pending(self) -> int:
@@ -179,20 +212,22 @@ class Bus:
         for frame in frames:
             if _SDO_FIRST <= frame.key <= _SDO_LAST:
                 sdo.append(frame)
-            elif not (eager and self._send_at_once(frame)):
+            elif not (eager and self._send_at_once(frame, now)):
                 eager = False
                 first.append(frame)
         if eager and sdo and self._until_sync(now) > SDO_GUARD:
-            while sdo and self._send_at_once(sdo[0]):
+            while sdo and self._send_at_once(sdo[0], now):
                 sdo.popleft()
         if not (first or sdo):
             return True
         self._work.unpark()
         return len(first) + len(sdo) <= MAX_SEND_QUEUE
 
-    def _send_at_once(self, frame: Frame) -> bool:
+    def _send_at_once(self, frame: Frame, now: Time) -> bool:
         """Try to send a frame. Return False if it has to wait; a frame that the bus cannot send now is dropped."""
         assert self._eager is not None
+        place = len(self._held)
+        self._handing += 1
         try:
             if not self._eager.send_nowait(frame):
                 return False
@@ -200,8 +235,14 @@ class Bus:
             self.drop(refusal.seen)
         else:
             self._own_bits += FRAME_BITS[len(frame.data)]
+            if self._listeners:
+                self._held.insert(place, (frame, now, None, True))
             if self._reason:
                 self.settle_not_sent()
+        finally:
+            self._handing -= 1
+            if self._held and not self._handing:
+                self._tell_held()
         return True
 
     def receive(self) -> Awaitable[Sequence[Received | Report]]:
@@ -230,6 +271,8 @@ class Bus:
         After an exception (a bug of the core), `received` still has the items after the one that caused it.
         """
         network = self.network
+        if self._listeners:
+            received = self._told(received, now)
         while True:
             item = next(received, None) if self.state is _BUS_OFF else network.receive_many(received, now)
             if item is None:
@@ -241,6 +284,25 @@ class Bus:
                 network.out.events.append(FramesLost(0, item.lost, item.seen))
             elif isinstance(item, BusStateChanged):
                 self.change(item.state, item.seen)
+
+    def _told(self, received: Iterator[Received | Report], now: Time) -> Iterator[Received | Report]:
+        """Pass on what was received, and tell the listeners of its frames. What comes while one of ours is being sent waits for
+        it: an answer must not be told before its request."""
+        for item in received:
+            if isinstance(item, tuple):
+                self._tell_received(item[0], now, item[1])
+            yield item
+
+    def _tell_received(self, frame: Frame, now: Time, stamp: int | None) -> None:
+        self._held.append((frame, now, stamp, False))
+        if not (self._handing or self._is_sending) or len(self._held) > MAX_HELD:
+            self._tell_held()
+
+    def _tell_held(self) -> None:
+        held, self._held = self._held, []
+        for each in held:
+            for heard in self._listeners:
+                heard(*each)
 
     def change(self, state: BusState, reason: str) -> None:
         """Handle a change that the transport reports. Events: FramesNotSent, BusChanged. reason: for people."""
@@ -282,9 +344,9 @@ class Bus:
         return self._filter is not None
 
     def renew_filters(self) -> None:
-        """Give the CAN-IDs that our machines want to a transport that filters."""
+        """Give the CAN-IDs that our machines want to a transport that filters; a listener wants all."""
         if self._filter is not None:
-            wanted = self.network.can_ids()
+            wanted = None if self._listeners else self.network.can_ids()
             if wanted != self._wanted:
                 self._wanted = wanted
                 self.network.hears_all = not self._filter.set_filters(wanted)
@@ -363,6 +425,8 @@ class Bus:
     async def next_frame(self, now: Callable[[], Time]) -> Frame:
         """Return the next frame to send."""
         self._is_sending = False
+        if self._held:
+            self._tell_held()
         if not self.pending:
             self._sent.unpark_all()
         while True:

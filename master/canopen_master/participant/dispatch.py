@@ -177,7 +177,7 @@ class Dispatcher:
                 begin = place - 1
                 while place < count and type(events[place]) is kind:
                     place += 1
-                self._queue(bus, watchers, events[begin:place])
+                self._queue(bus, watchers, events if place - begin == count else events[begin:place])
                 continue
             if tell is not None:
                 try:

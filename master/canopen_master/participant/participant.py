@@ -225,8 +225,13 @@ class Participant:
 
     def _before_timeouts(self, now: Time) -> None:
         """See whether a due SYNC is late; if a guard has something to do first, put it off on all buses."""
-        due = min((sync.deadline for sync in self._sync.values()), default=NEVER)
-        if not self._guards or (now - due) * ON_TIME <= self.sync_period:
+        if not self._guards:
+            return
+        due = NEVER
+        for sync in self._sync.values():
+            if sync.deadline < due:
+                due = sync.deadline
+        if (now - due) * ON_TIME <= self.sync_period:
             return
         looks = [look for guard in self._guards if (look := guard.look_before_sync(now - due)) is not None]
         if not looks:

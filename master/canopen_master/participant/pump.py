@@ -37,6 +37,7 @@ from typing import Final, TypeAlias
 
 from canopen_master.participant.alarm import Alarm, best_alarm
 from canopen_master.participant.bus import MAX_BATCH, Bus
+from canopen_proto.explained import counted
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_transports import FrameNotSentError, Received, Report, TransportError
@@ -95,6 +96,7 @@ class Pump:
         self._wake: Time = NEVER  # what the alarm is set for
         self._is_pumping = False
         self._received = 0
+        self._networks = tuple(bus.network for bus in self.buses)
         self._outs = tuple((bus, bus.network.out) for bus in self.buses)
         self._clock = self._loop.clock()
         self._running = _pumps.get()
@@ -135,7 +137,7 @@ class Pump:
         frames, events = bus.network.drain(now)
         try:
             if frames and not bus.queue(frames, now):
-                name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
+                name, seen = getattr(bus.transport, "locator", bus.name), f"{counted(bus.pending, 'frame')} still to be sent"
                 raise TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen)
         except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
             self._fail(bus, error, "send")
@@ -211,7 +213,7 @@ class Pump:
         if bus.failed:
             return
         self._received += 1
-        bus.count_bits(frame)
+        bus.note(frame, now, is_sent=False)
         try:
             bus.network.receive(frame, now, now)
             self.pump(now)
@@ -247,7 +249,7 @@ class Pump:
             except Exception as error:  # noqa: BLE001 - as above
                 self._fail(bus, error, f"send {frame}")
             else:
-                bus.count_bits(frame)
+                bus.note(frame, self.now(), is_sent=True)
                 if bus.is_dropping:
                     self._turn(bus.settle_not_sent)
 
@@ -271,7 +273,10 @@ class Pump:
         If it took longer, the process was stalled meanwhile, and has to look again. looked: the time now. late: of this process.
         """
         for _ in range(MAX_LOOKS):
-            if not all(self._take_what_has_come(bus) for bus in self.buses) or late > _STALL:
+            is_all = late <= _STALL
+            for bus in self.buses:
+                is_all = self._take_what_has_come(bus) and is_all
+            if not is_all:
                 await self._catch_up(self._quiet_ticks if late > _STALL else self._loop.rounds_to_hear)
             now = self.now()
             late, looked = now - looked, now
@@ -312,18 +317,14 @@ class Pump:
 
     def _set_alarm(self) -> None:
         """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
-        deadline = self._next_deadline()  # which also takes up what machines have announced
+        # It also takes up what machines have announced
+        deadline = self._networks[0].next_deadline() if len(self._networks) == 1 else self._next_deadline()
         if deadline < self._wake and self._alarm is not None:
             self._wake = deadline
             self._alarm.set(deadline / SECOND)
 
     def _next_deadline(self) -> Time:
-        nearest = NEVER
-        for bus in self.buses:
-            deadline = bus.network.next_deadline()
-            if deadline < nearest:
-                nearest = deadline
-        return nearest
+        return min([network.next_deadline() for network in self._networks])
 
     def _turn(self, mutate: Callable[..., object], *args: object) -> None:
         """Call something that mutates machines, then pump."""

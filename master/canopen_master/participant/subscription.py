@@ -19,11 +19,13 @@ QUEUE_SIZE: Final = 4096
 """The most events that wait for a slow reader: more than four seconds of six drives with one PDO each 10 ms."""
 
 HANDED_OVER: Final = 64
-"""The most events that a reader takes before other tasks get their turn."""
+"""The most events that a reader takes before other tasks get their turn, and a cancel of its own task is noticed."""
 
 
 class Subscription(Generic[E]):
     """An async iterator over events: `async for event in subscription`. Made by `Master.events`; `with` or `async with` ends it.
+
+    Events that came together are handed over without a checkpoint between them, up to HANDED_OVER.
 
     dropped: the number of events that were lost because the reader was too slow.
 
@@ -44,7 +46,7 @@ class Subscription(Generic[E]):
     def put(self, event: E) -> None:
         """Add an event (the pump does)."""
         events = self._events
-        if not events:
+        if not events and self._waiting:
             self._waiting.unpark_all()  # a reader waits only while there is no event
         elif len(events) == self._size:
             events.popleft()
@@ -54,13 +56,14 @@ class Subscription(Generic[E]):
     def put_all(self, new: Sequence[E]) -> None:
         """Add events, as `put` does one after the other. new: 1 or more."""
         events = self._events
-        if not events:
+        if not events and self._waiting:
             self._waiting.unpark_all()
         events.extend(new)
-        lost = max(0, len(events) - self._size)
-        for _ in range(lost):
-            events.popleft()
-        self.dropped += lost
+        lost = len(events) - self._size
+        if lost > 0:
+            for _ in range(lost):
+                events.popleft()
+            self.dropped += lost
 
     def end(self, reason: BaseException) -> None:
         """End the subscription: after the queued events, `reason` is raised."""
@@ -76,12 +79,29 @@ class Subscription(Generic[E]):
             await self._check()
         elif self._events or self._end is not None:
             await self._loop.checkpoint()
+        if not self._events:
+            await self._wait()
+        self._in_a_row = (self._in_a_row or min(len(self._events), HANDED_OVER)) - 1
+        return self._events.popleft()
+
+    def batches(self) -> Batches[E]:
+        """Return an async iterator over lists of 1 event or more, each with all that have come since the last one: `async for
+        batch in events.batches()`. For many events a second it costs less than one by one. It ends as `receive` does."""
+        return Batches(self)
+
+    async def receive_batch(self) -> list[E]:
+        """Wait for the next event, and return all that are there. Ends as `receive` does."""
+        if self._events or self._end is not None:
+            await self._loop.checkpoint()
+        if not self._events:
+            await self._wait()
+        return self.take()
+
+    async def _wait(self) -> None:
         while not self._events:
             if self._end is not None:
                 raise self._end
             await self._waiting.park()
-        self._in_a_row = (self._in_a_row or min(len(self._events), HANDED_OVER)) - 1
-        return self._events.popleft()
 
     def take(self) -> list[E]:
         """Return all waiting events at once."""
@@ -110,9 +130,20 @@ class Subscription(Generic[E]):
         return self
 
     async def __anext__(self) -> E:
-        if self._in_a_row:  # as in `receive`, without its call: most of the events of a burst come this way
-            await self._check()
-            if self._events:
-                self._in_a_row -= 1
-                return self._events.popleft()
+        if self._in_a_row:  # most of the events of a burst come this way: they are there, and nothing is waited for
+            self._in_a_row -= 1
+            return self._events.popleft()
         return await self.receive()
+
+
+class Batches(Generic[E]):
+    """An async iterator over lists of events; see `Subscription.batches`."""
+
+    def __init__(self, subscription: Subscription[E]) -> None:
+        self._subscription = subscription
+
+    def __aiter__(self) -> Batches[E]:
+        return self
+
+    async def __anext__(self) -> list[E]:
+        return await self._subscription.receive_batch()

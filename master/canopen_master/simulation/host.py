@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from canopen_master.errors import BusError
 from canopen_master.participant.bus import Bus, BusChanged
@@ -23,7 +23,6 @@ from canopen_master.participant.pump import Pump
 from canopen_master.simulation.hooks import Hooks, Script
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.abort import AbortCode
-from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import OK, UNCONFIGURED
@@ -36,6 +35,9 @@ from canopen_proto.simulation.drive.node import DriveNode, powerball
 from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, DriveSettings
 from canopen_transports import BusState, Transport, TransportError
 from canopen_transports.loop import TASK_STATUS_IGNORED, Nursery, TaskStatus, current_loop
+
+if TYPE_CHECKING:
+    from canopen_proto.declared import DeclaredDevice
 
 PATIENCE: Final = 16
 """Rounds of the loop. A master in this process is stalled together with its devices, and takes some rounds to send its

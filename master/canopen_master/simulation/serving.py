@@ -28,6 +28,7 @@ from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_transports import Transport, open_transport
 from canopen_transports.loop import CancelScope, TaskStatus, current_loop
+from canopen_transports.loop.beside import beside
 from canopen_transports.tracing import for_devices
 
 DEMO_LOCATOR: Final = "virtual:demo"
@@ -181,20 +182,15 @@ async def simulated_devices(
     def host_on(transport: Transport, each: Sequence[DeviceMaker]) -> Host:
         return Host(transport, each, on_event, keeper=keeper, say=say)
 
-    failure: Exception | None = None
-    async with current_loop().open_nursery() as nursery:
+    async with beside(current_loop().open_nursery()) as nursery:
         serving = current_loop().cancel_scope()
         hosts: list[Host] = await nursery.start(_serve, makers, host_on, serving)
         serving.shield = True  # only from now on: a start that is cancelled waits for its tasks, which must end then
         try:
             await current_loop().sleep(BOOT_TIME)
             yield SimulatedDevices(hosts)
-        except Exception as error:  # noqa: BLE001 - raised again below: the nursery would wrap it in a group
-            failure = error
         finally:
             serving.cancel()
-    if failure is not None:
-        raise failure
 
 
 async def _serve(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, TypeAlias
 
 from canopen_master.errors import PlanRefusedError
 from canopen_master.trajectories.scaled_joints import (
@@ -35,16 +35,8 @@ _SHORTEST: Final = 1e-12
 """Phases that are shorter, in seconds, are rounding errors and are left out."""
 
 
-class _JointState(NamedTuple):
-    """How one joint moves at one moment."""
-
-    position: float
-    velocity: float
-    acceleration: float
-
-    def after(self, time: float, jerk: float) -> _JointState:
-        """Return the state after a time of constant jerk; it may be negative."""
-        return _JointState(*with_constant_jerk(time, *self, jerk))
+_State: TypeAlias = tuple[float, float, float]
+"""Position, velocity and acceleration of one joint at one moment."""
 
 
 def point_to_point(
@@ -120,14 +112,14 @@ def _calculated(ruckig: Any, request: Any, joints: Sequence[ScaledJoint], start:
         raise ruckig_refused(error, "path") from error
     if trajectory.duration < _SHORTEST:
         return Path([[Segment(STANDSTILL, (target,))] for target in targets])
-    states = [_JointState(*each) for each in zip(*start, strict=True)]
+    states = zip(*start, strict=True)
     return Path([
         _segments(profile, state, target, joint.unit, trajectory.duration)
         for profile, state, target, joint in zip(trajectory.profiles[0], states, targets, joints, strict=True)
     ])  # fmt: skip
 
 
-def _segments(profile: Any, start: _JointState, target: float, unit: float, duration: float) -> list[Segment]:
+def _segments(profile: Any, start: _State, target: float, unit: float, duration: float) -> list[Segment]:
     """Return the phases of one joint's profile as segments, in the user's unit. The last one ends exactly at the target."""
     phases = [
         (time, jerk * unit)
@@ -141,19 +133,21 @@ def _segments(profile: Any, start: _JointState, target: float, unit: float, dura
     segments: list[Segment] = []
     if phases:
         longest = max(range(len(phases)), key=durations.__getitem__)
-        end = start
+        p, v, a = start
+        states = [(p, v, a)]
         for time, jerk in phases:
-            end = end.after(time, jerk)
-        error = _JointState(target - end.position, -end.velocity, -end.acceleration).after(
-            -math.fsum(durations[longest + 1 :]), 0.0
-        )
-        state = start
+            p, v, a = with_constant_jerk(time, p, v, a, jerk)
+            states.append((p, v, a))
+        error = with_constant_jerk(-math.fsum(durations[longest + 1 :]), target - p, -v, -a, 0.0)
         for number, (time, jerk) in enumerate(phases):
-            coefficients: tuple[float, ...] = (state.position, state.velocity, state.acceleration / 2.0, jerk / 6.0)
-            state = state.after(time, jerk)
+            if number <= longest:
+                p, v, a = states[number]
+            coefficients: tuple[float, ...] = (p, v, a / 2.0, jerk / 6.0)
             if number == longest:
-                coefficients = (coefficients[0], coefficients[1], coefficients[2], *_added(coefficients[3], error, time))
-                state = _JointState(*(one + other for one, other in zip(state, error, strict=True)))
+                coefficients = (p, v, a / 2.0, *_added(jerk / 6.0, error, time))
+                p, v, a = (one + other for one, other in zip(states[number + 1], error, strict=True))
+            elif number > longest:
+                p, v, a = with_constant_jerk(time, p, v, a, jerk)
             segments.append(Segment(time, coefficients))
     rest = duration - math.fsum(durations)
     if rest > _SHORTEST or not segments:
@@ -161,7 +155,8 @@ def _segments(profile: Any, start: _JointState, target: float, unit: float, dura
     return segments
 
 
-def _added(cubic: float, error: _JointState, time: float) -> tuple[float, float, float]:
+def _added(cubic: float, error: _State, time: float) -> tuple[float, float, float]:
     """Return the upper coefficients of a segment that also takes up an error until its end, and nothing of it at its start."""
-    c3, c4, c5 = quintic_top(error.position, error.velocity * time, error.acceleration * time * time / 2.0, time)
+    position, velocity, acceleration = error
+    c3, c4, c5 = quintic_top(position, velocity * time, acceleration * time * time / 2.0, time)
     return cubic + c3, c4, c5

@@ -316,7 +316,7 @@ class _SmoothedMotion:
 
     def time_at(self, place: float) -> float:
         """Return the time at which s is `place`."""
-        return turning_point(lambda time: not self.at(time)[0] < place, 0.0, self.duration, _HALVINGS)[1]
+        return turning_point(lambda time: not self.at(time)[0] < place, self.duration, _HALVINGS)[1]
 
     def places_of(self, begin: float, end: float) -> tuple[float, float]:
         """Return the first and the last s that have a share in the motion between two times."""
