@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from canopen_gateway.errors import GatewayError as GatewayError
     from canopen_gateway.errors import GatewayFullError as GatewayFullError
     from canopen_gateway.errors import GatewayRefusedError as GatewayRefusedError
+    from canopen_gateway.errors import HistoryError as HistoryError
+    from canopen_gateway.errors import HistoryQueryError as HistoryQueryError
     from canopen_gateway.errors import LeaseError as LeaseError
     from canopen_gateway.errors import NoGatewayError as NoGatewayError
     from canopen_gateway.errors import NoSuchPlaceError as NoSuchPlaceError
     from canopen_gateway.errors import NotAllowedError as NotAllowedError
+    from canopen_gateway.errors import NotOverFleetError as NotOverFleetError
     from canopen_gateway.errors import NotOverTextError as NotOverTextError
     from canopen_gateway.errors import PdoTakenError as PdoTakenError
     from canopen_gateway.errors import QueryRefusedError as QueryRefusedError

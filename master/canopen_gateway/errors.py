@@ -24,8 +24,14 @@ DOOR_REFUSED: Final = "CO155"
 NOT_OVER_TEXT: Final = "CO156"
 """A command needs a bus, and this is a text gateway."""
 
+NO_HISTORY: Final = "CO163"
+"""A history cannot be read, or not be asked for this."""
+WRONG_QUERY: Final = "CO164"
+"""A query of a history cannot be answered as it stands."""
 NO_SUCH_PLACE: Final = "CO162"
 """A request names a net, a node or an object that is not there."""
+NOT_OVER_FLEET: Final = "CO165"
+"""What was asked for needs the computer that has the bus, and this is a page over a fleet."""
 NO_BRIDGE: Final = "CO160"
 """Nobody answers for this place in a fleet, or the fleet cannot be joined."""
 BRIDGE_REFUSED: Final = "CO161"
@@ -64,8 +70,8 @@ class PdoTakenError(GatewayError):
 
 
 class LeaseError(GatewayError):
-    """The machine is not moved: somebody else has the lease, it is over, or the request is an old one. For the fields see
-    Explained."""
+    """The machine is not moved: somebody else has the lease, it is over, or the request is an old one. Or a drive with power
+    would lose its commands. For the fields see Explained."""
 
     def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
         super().__init__(LEASE_TAKEN, failed, seen=seen, tries=tries)
@@ -165,6 +171,35 @@ class BridgeRefusedError(GatewayError):
     def is_silence(self) -> bool:
         """Whether the node did not answer the bridge."""
         return self.abort_code == AbortCode.TIMED_OUT
+
+
+class NotOverFleetError(GatewayError):
+    """What was asked for needs the computer that has the bus, and this is a page over a fleet; nothing was sent. For the fields
+    see Explained."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(
+            NOT_OVER_FLEET,
+            f"{what}: not over a fleet",
+            seen="this page shows the machines of many computers",
+            cause="it needs the computer that has the bus",
+            tries=("canopen serve web, on that computer",),
+        )
+
+
+class HistoryError(GatewayError, ValueError):
+    """A history of a fleet cannot be written, or not be read: it is not there, or a file in it is half, or none of it. For the
+    fields see Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(NO_HISTORY, failed, seen=seen, cause=cause, tries=tries)
+
+
+class HistoryQueryError(GatewayError, ValueError):
+    """A query of a history is wrong, or reaches for something else. For the fields see Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(WRONG_QUERY, failed, seen=seen, cause=cause, tries=tries)
 
 
 class QueryRefusedError(GatewayError, ValueError):

@@ -14,6 +14,9 @@ the gateway ends, the motion brakes, and the chain is halted. A jog has a second
 are not renewed for that time (`Moving.jog`). Each sign of life has a number that is greater than all before: a message that was
 delayed, or sent again after a new connection, moves nothing.
 
+**Nobody else takes its ground away.** An NMT command, or a write that does the same, is refused to all but the owner while the
+drive has power: it would lose its commands, and brake as its own settings say, or not at all.
+
 **Anybody may halt**, with or without the lease, in a read-only gateway too. A halt ends the lease by which the machine was moved,
 and the chains stay halted until somebody gives them power anew: whoever goes on sending moves nothing.
 
@@ -25,15 +28,22 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from typing import Final, Protocol
 
 import trio
 
 from canopen_gateway.errors import LeaseError
 from canopen_gateway.guard import Guard, Permission
-from canopen_master import Chain, ChainState, Jog, Master, MasterError, Node
+from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node
 from canopen_proto.drives import halt
+from canopen_proto.drives.cia402.axes import swapped
+from canopen_proto.drives.cia402.objects import STATUSWORD
+from canopen_proto.drives.cia402.states import POWERED, state_of
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.multiplexer import index_of
+from canopen_proto.nmt import NmtState
 from canopen_proto.procedures import ProcedureError
 
 LEASE_TIME: Final = 0.3
@@ -53,8 +63,8 @@ class LeaseHolder(Protocol):
 
 class Lease:
     """See this module's text. owner: the client that moves the machine, or None. problem: why the last motion ended early, or a
-    halt was not confirmed; "" if all went well. doing: what the owner is moved by at present: "", "enable", "jog", "move",
-    "disable"."""
+    halt was not confirmed; "" if all went well. What did not confirm that it stands is told to the next owner too, until a motion
+    begins. doing: what the owner is moved by at present: "", "enable", "jog", "move", "disable", "commission"."""
 
     def __init__(self, master: Master, guard: Guard) -> None:
         self.owner: LeaseHolder | None = None
@@ -67,6 +77,7 @@ class Lease:
         self._last = -1
         self._chains: set[str] = set()  # those that the owner has commanded
         self._scope: trio.CancelScope | None = None  # of the motion under way
+        self._ended = trio.Event()  # that motion is over
         self._waiting = trio.CancelScope()
         self._jogged = ""
         self._jog: Jog | None = None
@@ -74,6 +85,9 @@ class Lease:
         self._commanded: set[Node] = set()  # by single writes
         self._halted_by_hand: set[str] = set()  # chains that somebody has halted, and nobody has enabled since
         self._over = THE_TIME
+        self._commissioned: Node | None = None  # the drive that the owner commissions
+        self._set_up: set[Node] = set()  # the drives that he has commissioned
+        self._unconfirmed: list[str] = []  # what did not confirm that it stands, and nobody has moved since
 
     # ---- whose it is ----
 
@@ -92,7 +106,7 @@ class Lease:
         if self.owner is None:
             if self._nursery is None:
                 raise LeaseError("the machine cannot be moved", seen="the gateway does not run, or is ending")
-            self.owner, self._last, self.problem, self._over = session, -1, "", THE_TIME
+            self.owner, self._last, self.problem, self._over = session, -1, "; ".join(self._unconfirmed), THE_TIME
             self._deadline = trio.current_time() + LEASE_TIME
             self._nursery.start_soon(self._watch, session)
 
@@ -118,6 +132,48 @@ class Lease:
                 seen=f"its lease ends in {self.left:.2f} s, unless it renews it",
                 tries=("halt is open to everybody",),
             )
+
+    async def require_no_power(self, session: LeaseHolder, net: str, node_id: int, what: str) -> None:
+        """Raise LeaseError if a drive would lose its commands by what was to be done: one that the owner moves, or one that has
+        power. The owner himself may. Each node is asked (0x6041), since another program may have given its drive power; of one
+        that does not answer, what was last heard counts. node_id: 0 for all nodes of a net that were heard. what: was to be done,
+        such as "NMT stop"."""
+        powered: set[Node] = set()
+        reached = self._reached(session, net, node_id, what)
+        async with trio.open_nursery() as nursery:
+            for node in reached:
+                nursery.start_soon(self._ask_power, node, powered)
+        for node in self._reached(session, net, node_id, what):  # the lease may have been taken meanwhile
+            if node in powered or self._has_power(node):
+                raise LeaseError(
+                    f"{what} of {node.where} was refused: its drive has power",
+                    seen="it would lose its commands: what moves may not stop, and what hangs may fall",
+                    tries=("halt it, which is open to everybody, and take its power away",),
+                )
+
+    def _reached(self, session: LeaseHolder, net: str, node_id: int, what: str) -> list[Node]:
+        """Return the nodes whose drives may have power; none for the owner. Raises LeaseError for one that another client
+        moves."""
+        if self.owner is session and self.left > 0.0:
+            return []
+        arms = [self._master.chains[name] for name in self._chains]
+        in_hand = {device.node for arm in arms for device in (arm.devices if self.doing else _led(arm))}
+        known = self._drives(net, node_id)
+        for node in known:
+            if node in in_hand or node is self._commissioned:
+                self.require_free(session, f"{what} of {node.where}")
+        heard = () if node_id else self._master.bus(net).network.heard_nodes()
+        return list(dict.fromkeys([*known, *(self._master.node(each, bus=net) for each in heard)]))
+
+    async def _ask_power(self, node: Node, powered: set[Node]) -> None:
+        """Add a node to `powered` if it says that a drive of it has power."""
+        if self._master.bus(node.bus).network.heard(node.node_id).state is NmtState.STOPPED:
+            return  # it has no SDO then (CiA 301 v4.2.0, 7.3.2.2.4)
+        with suppress(MasterError):
+            for axis in node.axes or (0,):
+                data = await node.read_bytes(index_of(swapped(STATUSWORD, axis)), 0)
+                if state_of(int.from_bytes(data, "little")) in POWERED:
+                    powered.add(node)
 
     def note_command(self, node: Node) -> None:
         """Remember a node to which a client has written something that moves: `halt` stops it, too."""
@@ -166,6 +222,18 @@ class Lease:
         self.renew(session, sequence)
         self.stop_motion()
 
+    def commission(self, session: LeaseHolder, sequence: int, node: Node, dialogue: Callable[[], Awaitable[object]]) -> None:
+        """Commission a drive, in the background: see commissioning.py. It goes on while this client renews the lease. dialogue:
+        leads through it; it is cancelled when the lease ends, and halts the drive then. Raises LeaseError."""
+        self.renew(session, sequence)
+        if self.doing:
+            raise LeaseError(
+                "a drive cannot be commissioned now", seen=f"it is under way: {self.doing}", tries=("halt it first",)
+            )
+        self._commissioned = node
+        self._set_up.add(node)
+        self._run("commission", dialogue)
+
     # ---- halt ----
 
     async def halt(self, net: str | None = None, node_id: int = 0) -> list[str]:
@@ -181,7 +249,8 @@ class Lease:
         ]
         names = {chain.name for chain in chains}
         self._halted_by_hand |= names
-        if self.owner is not None and names & self._chains:
+        commissioned = self._commissioned
+        if self.owner is not None and (names & self._chains or (commissioned and _is_at(commissioned, net, node_id))):
             self._over = BY_HAND
             self.leave(self.owner)
         problems: list[str] = []
@@ -240,7 +309,8 @@ class Lease:
         if self._nursery is None:
             raise LeaseError("the machine cannot be moved", seen="the gateway is ending")
         self.doing, self.problem = doing, ""
-        self._scope = trio.CancelScope()
+        self._unconfirmed.clear()
+        self._scope, self._ended = trio.CancelScope(), trio.Event()
         self._nursery.start_soon(self._carry_out, self._scope, motion)
 
     async def _carry_out(self, scope: trio.CancelScope, motion: Callable[[], Awaitable[object]]) -> None:
@@ -253,7 +323,8 @@ class Lease:
             LOGGER.warning("%s ended: %s", self.doing, self.problem)
         finally:
             if self._scope is scope:
-                self._scope, self.doing = None, ""
+                self._scope, self.doing, self._commissioned = None, "", None
+                self._ended.set()
 
     async def _jogging(self, arm: Chain) -> None:
         async with arm.jog(renew_within=LEASE_TIME) as jog:
@@ -273,7 +344,8 @@ class Lease:
             await self._release(self._over)
 
     async def _release(self, why: str) -> None:
-        """Halt what the owner moves; then the lease is free. Nobody takes it before the machine stands, or may not."""
+        """Halt what the owner moves; then the lease is free. Nobody takes it before the machine stands, or HALT_TIME is over for
+        what did not confirm that it stands: `problem` tells it."""
         owner = self.owner
         moved = self._scope is not None
         self.stop_motion()
@@ -284,13 +356,24 @@ class Lease:
                     chain = self._master.chains[name]
                     if chain.state is not ChainState.OFF:
                         nursery.start_soon(self._halted, name, chain.halt, problems)
+                for node in self._set_up:
+                    nursery.start_soon(self._halted, node.where, partial(self._left, node), problems)
         if moved or problems:
             LOGGER.warning(
                 "%s: what %s moved was halted. %s", why, "nobody" if owner is None else owner.name, "; ".join(problems)
             )
-        self.problem = "; ".join([why, *problems])
+        self._unconfirmed += problems
+        self.problem = "; ".join([why, *self._unconfirmed])
         self._chains.clear()
+        self._set_up.clear()
         self.owner = None
+
+    async def _left(self, node: Node) -> None:
+        """Wait for the end of a commissioning, which halts the drive. If that did not succeed, the drive is halted once more."""
+        await self._ended.wait()
+        if self._has_power(node):
+            for axis in node.axes or (0,):
+                await self._halt_of(node, axis)()
 
     async def _halted(self, what: str, stop: Callable[[], Awaitable[object]], problems: list[str]) -> None:
         try:
@@ -306,11 +389,21 @@ class Lease:
 
     def _nodes(self, net: str | None, node_id: int) -> list[Node]:
         """Return the nodes that may move without a chain: those commanded by single writes, and the one that was named."""
-        led = {each.node for chain in self._master.chains.values() if chain.state is not ChainState.OFF for each in chain.devices}
+        led = {each.node for chain in self._master.chains.values() for each in _led(chain)}
+        return [node for node in self._drives(net, node_id) if node not in led]
+
+    def _drives(self, net: str | None, node_id: int) -> list[Node]:
+        """Return the nodes whose drives this gateway may have commanded, of a net or of all; and the one that was named."""
         known = {device.node for device in self._master.devices.values()} | self._commanded
         if net is not None and node_id:
             known.add(self._master.node(node_id, bus=net))
-        return [node for node in known - led if _is_at(node, net, node_id)]
+        return [node for node in known if _is_at(node, net, node_id)]
+
+    def _has_power(self, node: Node) -> bool:
+        devices = [device for (each, _), device in self._master.devices.items() if each is node]
+        if not devices:
+            return node.was_enabled
+        return any(device.may_move or device.state in POWERED for device in devices)
 
 
 async def _enabled(arm: Chain) -> None:
@@ -320,6 +413,11 @@ async def _enabled(arm: Chain) -> None:
         await arm.initialise()
     if arm.state is not ChainState.FOLLOWING:
         await arm.follow()
+
+
+def _led(chain: Chain) -> Sequence[Device]:
+    """Return the joints of a chain that it moves, or holds, at present."""
+    return () if chain.state is ChainState.OFF else chain.devices
 
 
 def _is_at(node: Node, net: str | None, node_id: int) -> bool:

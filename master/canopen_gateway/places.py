@@ -33,8 +33,14 @@ def find_node(value: Any, *, least: int = 1) -> int:
 def find_object(dictionary: ObjectDictionary, text: str) -> tuple[int, int]:
     """Return the index and subindex of an object. text: a name, or "6041:00"; a number need not be in the dictionary. Raises
     ObjectNotFoundError for another name."""
-    number = _PLACE.fullmatch(text)
+    number = number_of_object(text)
     if number is not None:
-        return int(number[1], 16), int(number[2] or "0", 16)
+        return number
     variable = dictionary.variable(text)
     return variable.index, variable.subindex
+
+
+def number_of_object(text: str) -> tuple[int, int] | None:
+    """Return the index and subindex of an object that is named by its number, as "6041:00"; None for a name."""
+    number = _PLACE.fullmatch(text)
+    return None if number is None else (int(number[1], 16), int(number[2] or "0", 16))

@@ -67,16 +67,28 @@ def node_ids(master: Master, net: str) -> list[int]:
     return sorted(known | {*master.bus(net).network.heard_nodes()})
 
 
+def names_of_nodes(master: Master, net: str) -> dict[str, str]:
+    """Return the names that the machine has for nodes of a bus, by node-ID."""
+    found = {node.node_id for node in master.nodes.values() if node.bus == net and node.name}
+    found |= {device.node.node_id for device in master.devices.values() if device.node.bus == net}
+    return {str(node_id): name for node_id in sorted(found) if (name := name_of_node(master, net, node_id))}
+
+
+def name_of_node(master: Master, net: str, node_id: int) -> str:
+    """Return the name that the machine has for a node: that of its drives, else its own; "" if there is none."""
+    names = [each.name for each in master.devices.values() if _is_at(each.node, net, node_id)]
+    return ", ".join(names or [each.name for each in master.nodes.values() if _is_at(each, net, node_id)])
+
+
 def node_data(master: Master, net: str, node_id: int) -> Plain:
     """Return a node: its name, its state in words, since when it was not heard, and its drives."""
     heard = master.bus(net).network.heard(node_id)
-    drives = [each for each in master.devices.values() if each.node.bus == net and each.node.node_id == node_id]
-    names = [each.name for each in drives] or [each.name for each in master.nodes.values() if _is_at(each, net, node_id)]
+    drives = [each for each in master.devices.values() if _is_at(each.node, net, node_id)]
     states = {each.nmt_state for each in drives}
     state = heard.state if heard.state is not None or not drives else states.pop()
     return {
         "node": node_id,
-        "name": ", ".join(names),
+        "name": name_of_node(master, net, node_id),
         "state": state_words(state),
         "age": _age(master, heard.time),
         "heard": None if heard.service is None else heard.service.value,

@@ -27,12 +27,15 @@ from canopen_gateway.errors import GatewayFullError, PdoTakenError
 from canopen_gateway.guard import Guard, Permission, permission_to_write
 from canopen_gateway.layer_settings import LayerSettings
 from canopen_gateway.lease import Lease
-from canopen_gateway.limits import Limits
+from canopen_gateway.limits import Limits, RequestsUnderWay
 from canopen_gateway.request_times import RequestTimes
 from canopen_gateway.samples import PdoSamples
+from canopen_gateway.traffic import NetTraffic
+from canopen_gateway.traffic.traffic import ReadPdos
 from canopen_gateway.values import ValueStream, WatchedObject
 from canopen_master import ChainState, Master, Node
 from canopen_master.motion.single_drive import look_at_drive
+from canopen_master.pdo_reading import read_pdos
 from canopen_proto import LocalProtocolError, NmtCommand, NodeGuardingLost, OwnHeartbeat
 from canopen_proto.drives.axis.axis_node import node_of_axis
 from canopen_proto.drives.axis.view import DriveView
@@ -42,6 +45,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, Machine, Time
 from canopen_proto.manager.scan import Scanner, scan
 from canopen_proto.procedures.steps import act
 from canopen_proto.sdo.client import Block
+from canopen_transports.loop.beside import beside
 
 LOG_LENGTH: Final = 100
 """Events that a service remembers, for those who look later."""
@@ -62,7 +66,8 @@ class HeardOnNet(NamedTuple):
 class GatewayService:
     """See this module's text; made by `open_gateway`. nets: the names of the buses, in the order in which they were opened; net n
     of a text protocol is the n-th, from 1. guard, limits: as given. lease: who moves the machine. log: the last events, oldest
-    first. request_times: how long requests to nodes took."""
+    first. request_times: how long requests to nodes took. under_way: the requests
+    of all clients."""
 
     def __init__(self, master: Master, *, allow: Collection[Permission] = (), limits: Limits | None = None) -> None:
         """master: an open one. allow: what clients may change; by default nothing."""
@@ -75,12 +80,33 @@ class GatewayService:
         self.request_times = RequestTimes()
         self._sessions: list[GatewaySession] = []
         self._last_number = 0
-        self._under_way = 0
+        self.under_way = RequestsUnderWay(self.limits.requests)
         self._searching = trio.Lock()
         self._turns: dict[tuple[str, int], trio.Lock] = defaultdict(trio.Lock)
         self._settings: dict[str, LayerSettings] = {}
         self._own_ids: dict[str, int] = {}
         self._heartbeats: dict[str, OwnHeartbeat] = {}
+        self._traffic: dict[str, NetTraffic] = {}
+        self._nursery: trio.Nursery | None = None
+
+    def begin(self, nursery: trio.Nursery) -> None:
+        """Let what runs in the background begin. nursery: for it."""
+        self._nursery = nursery
+        self.lease.begin(nursery)
+
+    async def end(self) -> None:
+        """Halt what a client moves, and listen no longer."""
+        await self.lease.end()
+        for traffic in self._traffic.values():
+            traffic.close()
+
+    def traffic(self, net: str) -> NetTraffic:
+        """Return what passes on a net. It listens from the first call on, while the block of `open_gateway` runs."""
+        if net not in self._traffic:
+            assert self._nursery is not None, "the gateway does not run"
+            self._traffic[net] = NetTraffic(self.master, net)
+            self._nursery.start_soon(self._traffic[net].run)
+        return self._traffic[net]
 
     @property
     def sessions(self) -> Sequence[GatewaySession]:
@@ -164,26 +190,15 @@ class GatewayService:
         """Send what a machine has just been told to send, and let it be woken in time."""
         self.master.pump.pump()
 
-    @contextmanager
-    def under_way(self) -> Iterator[None]:
-        """Count a request while the block runs. Raises GatewayFullError."""
-        if self._under_way >= self.limits.requests:
-            raise GatewayFullError("requests at a time", self.limits.requests)
-        self._under_way += 1
-        try:
-            yield
-        finally:
-            self._under_way -= 1
-
     @asynccontextmanager
     async def turn(self, net: str, node_id: int, timeout: float | None) -> AsyncIterator[Node]:
         """Have a node while the block runs, with this time-out (seconds) for each of its answers; None: the master's."""
         node = self.node(net, node_id)
-        with self.under_way():
+        with self.under_way:
             async with self._turns[net, node_id]:
                 client = node.remote.sdo
                 before = client.timeout, client.max_upload
-                if timeout is not None and not self._is_moved(node):
+                if timeout is not None and not self.is_moved(node):
                     client.timeout = max(MILLISECOND, round(timeout * SECOND))
                 client.max_upload = self.limits.value_bytes
                 try:
@@ -200,7 +215,7 @@ class GatewayService:
             scanner = Scanner(bus.network.out)
             self.attach(net, scanner)
             try:
-                with self.under_way():
+                with self.under_way:
                     silent = [each for each in ALL_NODE_IDS if each not in bus.network.heard_nodes()]  # nobody else asks these
                     await self.master.run(scan(scanner, silent, listen=SEARCH_LISTENS))
             finally:
@@ -212,12 +227,21 @@ class GatewayService:
             view: DriveView = await self.master.run(look_at_drive(node_of_axis(node.remote, axis)))
         return view
 
+    async def read_pdos(self, net: str, node_id: int) -> ReadPdos:
+        """Ask a node for its PDOs: reading, which everybody may. `traffic` keeps the answer. Raises what `GatewaySession.read`
+        does; SdoTransferError if it does not answer."""
+        async with self.turn(net, node_id, None) as node:
+            has_file = node.dictionary is not self.master.dictionary
+            found = await read_pdos(self.master, node, node.dictionary if has_file else None)
+        read = self.traffic(net).pdos_read[node_id] = ReadPdos(self.master.now(), tuple(found))
+        return read
+
     def number_ear(self) -> int:
         """Return a number that no ear has yet."""
         self._last_number += 1
         return self._last_number
 
-    def _is_moved(self, node: Node) -> bool:
+    def is_moved(self, node: Node) -> bool:
         """Return whether a chain uses this node at present."""
         return any(
             chain.state is not ChainState.OFF and any(device.node is node for device in chain.devices)
@@ -276,14 +300,19 @@ class GatewaySession:
         timeout: float | None = None,
         block: Block = False,
     ) -> None:
-        """Write an object's bytes. timeout: seconds for each answer of the node. Raises NotAllowedError, LeaseError if it moves
-        something while somebody else moves the machine; else as `read`."""
+        """Write an object's bytes. timeout: seconds for each answer of the node. Raises NotAllowedError; LeaseError if it moves
+        something while somebody else moves the machine, or may start a drive with power anew; else as `read`."""
         self.service.guard.require_write(index, subindex)
-        moves = permission_to_write(index, subindex) is Permission.MOTION
+        permission, what = permission_to_write(index, subindex), f"writing 0x{index:04X}:{subindex:02X}"
         async with self.service.turn(net, node_id, timeout) as node:
-            if moves:  # asked when its turn has come: the lease may have been taken meanwhile
-                self.service.lease.require_free(self, f"writing 0x{index:04X}:{subindex:02X}")
+            # asked when its turn has come: the lease may have been taken meanwhile
+            if permission is Permission.MOTION:
+                self.service.lease.require_free(self, what)
                 self.service.lease.note_command(node)
+            elif permission is Permission.PROGRAM:  # which may start the device anew
+                await self.service.lease.require_no_power(self, net, node_id, what)
+            elif permission is Permission.NMT:  # which may have this device command all others
+                await self.service.lease.require_no_power(self, net, 0, what)
             await node.write_bytes(index, subindex, data, block=block)
 
     def watch_values(self, objects: Sequence[WatchedObject], period: float) -> ValueStream:
@@ -314,9 +343,12 @@ class GatewaySession:
     # ---- network management ----
 
     async def nmt(self, net: str, command: NmtCommand, node_id: int = 0) -> None:
-        """Send an NMT command to a node, or to all of a net (0). Raises NotAllowedError, LocalProtocolError, BusError."""
-        self.service.guard.require(Permission.NMT, f"NMT {command.name.lower().replace('_', ' ')}")
-        with self.service.under_way():
+        """Send an NMT command to a node, or to all of a net (0). Raises NotAllowedError, LocalProtocolError, BusError; LeaseError
+        if one of them has a drive with power, and this client does not have the lease."""
+        what = f"NMT {command.name.lower().replace('_', ' ')}"
+        self.service.guard.require(Permission.NMT, what)
+        await self.service.lease.require_no_power(self, net, node_id, what)
+        with self.service.under_way:
             await self.service.master.nmt(command, node_id, bus=net)
 
     def guard_node(self, net: str, node_id: int, guard_time: float, life_time_factor: int) -> None:
@@ -409,7 +441,7 @@ class GatewaySession:
         self.service.guard.require(Permission.MOTION, "sending a PDO")
         self.service.lease.require_free(self, "sending a PDO")
         port = self._port(net, False, number)
-        with self.service.under_way():
+        with self.service.under_way:
             await self.service.master.run(act(lambda now: port.send(values, now)))
 
     def _port(self, net: str, listens: bool, number: int) -> PdoPort:
@@ -428,16 +460,10 @@ async def open_gateway(
     allow: what clients may change; by default nothing. limits: how much they may do at a time.
     """
     service = GatewayService(master, allow=allow, limits=limits)
-    failure: Exception | None = None
-    async with trio.open_nursery() as nursery:
-        service.lease.begin(nursery)
+    async with beside(trio.open_nursery()) as nursery:
+        service.begin(nursery)
         try:
             yield service
-        except Exception as error:  # noqa: BLE001 - raised again below: the nursery would wrap it in a group
-            failure = error
         finally:
             with trio.CancelScope(shield=True):
-                await service.lease.end()
-            nursery.cancel_scope.cancel()
-    if failure is not None:
-        raise failure
+                await service.end()

@@ -351,7 +351,9 @@ class AsciiConnection:
         _check_lss(await settings.command("lss_conf_bitrate", lambda lss, now: lss.configure_bit_timing(index, now, table=table)))
 
     async def lss_activate_bit_rate(self, request: GatewayRequest) -> None:
-        await self._lss(request).activate_bit_timing(request.numbers[0] * MILLISECOND)
+        settings, net = self._lss(request), self._net_of(request)
+        await self._service.lease.require_no_power(self._session, net, 0, "another bit rate")  # its drives would hear nobody
+        await settings.activate_bit_timing(request.numbers[0] * MILLISECOND)
 
     async def lss_store(self, request: GatewayRequest) -> None:
         _check_lss(await self._lss(request, selected=True).command("lss_store", lambda lss, now: lss.store(now)))
@@ -424,6 +426,7 @@ class AsciiConnection:
         lines = [f"Node-ID {each.node_id} assigned to: {self._numbers(each.address)}" for each in done.done if each.written]
         lines += [f"{self._numbers(each.address)}: {each.remark}" for each in done.done if each.remark]
         lines += [f"{self._numbers(address)}: {why}" for address, why in done.left.items()]
+        # CANopenNode's words, which its client reads: "1 nodes" too
         lines.append(done.unfinished or f"Found {sum(each.written for each in done.done)} nodes, search finished.")
         failed = any(not each.is_complete for each in done.done) or done.unfinished
         code = GatewayCode.INTERNAL_STATE if failed else 0

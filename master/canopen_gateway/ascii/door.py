@@ -36,6 +36,7 @@ from canopen_gateway.limits import Limits
 from canopen_gateway.listening import BACKLOG, SEND_BUFFER, address_of, is_loopback, open_listeners
 from canopen_gateway.service import GatewayService
 from canopen_proto.gateway import CANOPENNODE, Dialect, GatewayAnswer, GatewayCode, GatewayLines, print_answer
+from canopen_transports.loop.beside import beside
 
 READ_SIZE: Final = 4096
 SILENT_FIRST: Final = 1.0
@@ -45,7 +46,11 @@ MAX_REFUSED: Final = 64
 FAREWELL: Final = 1.0
 """Seconds that a client may take for its last answer."""
 LOGGER: Final = logging.getLogger("canopen_gateway")
+TLS_HELLO: Final = b"\x16\x03"
+"""How a client begins that expects TLS; RFC 8446, 5.1."""
 _HTTP: Final = re.compile(rb" HTTP/\d\.\d\r?\Z")
+_BINARY: Final = re.compile(rb"[\0-\x08\x0e-\x1a\x1c-\x1f]")
+"""Control characters that no text has."""
 
 
 class _Client:
@@ -187,10 +192,9 @@ class AsciiDoor:
         await client.send(print_answer(GatewayAnswer(0, code=code, remark=remark), self._dialect), FAREWELL)
 
     async def _serve(self, client: _Client, connection: AsciiConnection, limits: Limits) -> None:
-        async with trio.open_nursery() as tasks:
+        async with beside(trio.open_nursery()) as tasks:
             tasks.start_soon(self._tell, client, connection, limits)
             await self._requests(client, connection, limits)
-            tasks.cancel_scope.cancel()
 
     async def _requests(self, client: _Client, connection: AsciiConnection, limits: Limits) -> None:
         lines = GatewayLines(limit=limits.line_bytes)
@@ -200,11 +204,18 @@ class AsciiDoor:
             if idle.cancelled_caught or not data:
                 return
             client.last_heard = trio.current_time()
+            if not client.has_spoken and data.startswith(TLS_HELLO):
+                await self._part(client, GatewayCode.NOT_SUPPORTED, "this gateway has no TLS: its lines are plain text")
+                return
             for line in lines.feed(bytes(data)):
                 if _HTTP.search(line):
                     LOGGER.warning("%s sent a web request, and was cut off", client.name)
                     await self._part(client, GatewayCode.NOT_SUPPORTED, "this is no web server")
                     return
+                if _BINARY.search(line):
+                    odd = GatewayAnswer(0, code=GatewayCode.SYNTAX, remark="these bytes are no text: a line of CiA 309-3 is")
+                    await client.send(print_answer(odd, self._dialect), limits.send_seconds)
+                    continue
                 client.is_busy = client.has_spoken = True
                 try:
                     answer = await connection.answer(line)

@@ -6,10 +6,12 @@ each of them, as for every client. Motion is not offered: an assistant cannot ho
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import wraps
+from types import MappingProxyType
 from typing import Any, Final, ParamSpec
 
+import trio
 from mcp.server.mcpserver import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from mcp.types import ToolAnnotations
@@ -20,9 +22,11 @@ from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.places import find_net, find_node, find_object
 from canopen_gateway.plain_data import (
     EXPECTED,
+    STATE_WORDS,
     Plain,
     chain_data,
     error_data,
+    event_data,
     lease_data,
     net_data,
     object_data,
@@ -35,6 +39,7 @@ from canopen_master import Node
 from canopen_master.plain_text import json_text
 from canopen_proto.abort import text_of
 from canopen_proto.error_codes import error_text
+from canopen_proto.nmt import NmtState
 from canopen_proto.procedures import ProcedureError
 
 P = ParamSpec("P")
@@ -88,6 +93,49 @@ class MachineTools:
         view = await self._service.look_at_drive(found.bus, found.node_id, axis)
         return bounded(view_data(view))
 
+    async def bus_load(self, net: str = "1", seconds: float = 1.0) -> str:
+        """Measure the load of a net for some seconds (0.1 to 10): its share of the bit rate in percent; and how the bus is."""
+        if not 0.1 <= seconds <= 10:
+            raise ValueError("0.1 to 10 seconds")
+        name = find_net(self._service, net)
+        bus = self._service.master.bus(name)
+        before = bus.bits
+        await trio.sleep(seconds)
+        rate = (bus.bits - before) / seconds
+        percent = None if not bus.bitrate else round(100 * rate / bus.bitrate, 2)
+        plain = net_data(self._service, name)
+        told = {key: plain[key] for key in ("net", "name", "state", "outage", "bitrate")}
+        return bounded({**told, "bits_per_second": round(rate), "load_percent": percent, "nodes": len(plain["nodes"])})
+
+    async def findings(self) -> str:
+        """What is wrong: buses that are out, nodes that are stopped or silent, emergencies, drives that do not move and why; and
+        the last frames that were against the standard, since this tool listens. An empty list: nothing is known to be wrong."""
+        found: list[Plain] = []
+        for net in self._service.nets:
+            plain = net_data(self._service, net)
+            found += [
+                {"net": plain["net"], "node": row.node_id, "what": f"on the bus: {row.text}", "rule": row.service}
+                for row in self._service.traffic(net).findings
+            ]
+            if plain["outage"]:
+                found.append({"net": plain["net"], "what": f"the bus is out: {plain['outage']}"})
+            for node in plain["nodes"]:
+                place = {"net": plain["net"], "node": node["node"]}
+                if node["emergency"]:
+                    found.append({**place, "what": "its last emergency", **node["emergency"]})
+                if node["state"] == STATE_WORDS[NmtState.STOPPED]:
+                    found.append({**place, "what": "it is stopped: it answers no SDO"})
+                found += [
+                    {**place, "drive": drive["name"], "what": each["what"], "remedy": each["remedy"]}
+                    for drive in node["drives"]
+                    for each in drive["reasons"]
+                ]
+        for heard in self._service.log:
+            told = event_data(self._service, heard, 0.0)
+            if told["kind"] == "lost":
+                found.append({"net": told["net"], "node": told["node"], "what": f"event: {told['text']}"})
+        return bounded(found)
+
     async def explain_code(self, code: str) -> str:
         """Say what a code means: an SDO abort code (0x06020000), or an emergency error code (0x2310)."""
         number = int(code, 16)
@@ -119,19 +167,33 @@ class MachineTools:
         return self._service.node(find_net(self._service, net), find_node(node))
 
 
-def assistant_server(service: GatewayService, session: GatewaySession) -> MCPServer[Any]:
-    """Return the server, which speaks over any transport of its SDK. session: the client of the service that it is."""
+def assistant_server(
+    service: GatewayService,
+    session: GatewaySession,
+    more: Sequence[Callable[..., Awaitable[str]]] = (),
+    resources: Mapping[str, Callable[[], Awaitable[str]]] = MappingProxyType({}),
+) -> MCPServer[Any]:
+    """Return the server, which speaks over any transport of its SDK. session: the client of the service that it is. more: further
+    tools that only read. resources: further texts, by their URIs."""
     server: MCPServer[Any] = MCPServer("canopen", instructions=INSTRUCTIONS, log_level="WARNING")
     tools = MachineTools(service, session)
-    for read in (
+    for net in service.nets:
+        service.traffic(net)  # from now on, so that `findings` knows what was before it is asked
+    reads: tuple[Callable[..., Awaitable[str]], ...] = (
         tools.machine_state, tools.find_nodes, tools.find_objects, tools.read_object, tools.explain_drive, tools.explain_code,
-    ):  # fmt: skip
+        tools.bus_load, tools.findings, *more,
+    )  # fmt: skip
+    for read in reads:
         server.tool(annotations=READS, structured_output=False)(_told(read))
     server.tool(annotations=CHANGES, structured_output=False)(_told(tools.halt))
     if service.guard.allowed:
         for change in (tools.write_object, tools.nmt):
             server.tool(annotations=CHANGES, structured_output=False)(_told(change))
     server.resource("canopen://machine", name="machine", mime_type="application/json")(tools.machine_state)
+
+    server.resource("canopen://findings", name="findings", mime_type="application/json")(tools.findings)
+    for uri, read_text in resources.items():
+        server.resource(uri, name=uri.rpartition("/")[2], mime_type="text/plain")(read_text)
 
     @server.resource("canopen://{net}/{node}/objects", name="dictionary of a node", mime_type="application/json")
     async def dictionary(net: str, node: str) -> str:

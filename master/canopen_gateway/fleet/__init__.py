@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from canopen_gateway.fleet.news import FleetNews as FleetNews
     from canopen_gateway.fleet.news import FleetPdo as FleetPdo
     from canopen_gateway.fleet.news import FleetState as FleetState
+    from canopen_gateway.fleet.news import FleetStatus as FleetStatus
     from canopen_gateway.fleet.news import PlaceAppeared as PlaceAppeared
     from canopen_gateway.fleet.news import PlaceGone as PlaceGone
 else:

@@ -20,8 +20,9 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import secrets
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -35,6 +36,7 @@ from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_b
 from canopen_gateway.fleet.leading import RemoteLead
 from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.places import find_object
+from canopen_gateway.plain_data import names_of_nodes, object_data, value_data
 from canopen_gateway.service import GatewayService, GatewaySession, HeardOnNet
 from canopen_gateway.values_given import bytes_of
 from canopen_master import MasterError, Node
@@ -42,11 +44,12 @@ from canopen_master.errors import SdoError, SdoNotConfirmedError
 from canopen_master.participant.subscription import Subscription
 from canopen_proto import LocalProtocolError, PdoReceived
 from canopen_proto.abort import AbortCode
+from canopen_proto.bus_knowledge import HeardService
 from canopen_proto.datatypes import Value
 from canopen_proto.gateway import GatewayCode, GatewayNews, NodeReport
 from canopen_proto.machine import SECOND
 from canopen_proto.manager.scan import NodeFound, Scanner, scan
-from canopen_proto.multiplexer import index_of, subindex_of
+from canopen_proto.multiplexer import Mux, index_of, subindex_of
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures import ProcedureError
 
@@ -62,6 +65,8 @@ EMERGENCIES_KEPT: Final = 32
 MAX_PAYLOAD: Final = 1 << 20
 MOST_WAITING: Final = 256
 """Queries at a time that get an answer at all, be it that there are too many; further ones are dropped, and counted."""
+MOST_MARKS: Final = 10_000
+"""Queries of which it is remembered that they have come."""
 THREADS: Final = 8
 """In which answers go out."""
 ONE_PLACE: Final = (keys.SET, keys.COMMAND, keys.LEASE)
@@ -90,6 +95,8 @@ class FleetDoor:
         self._tokens: dict[FleetPlace, zenoh.LivelinessToken] = {}
         self._emergencies: dict[FleetPlace, deque[bytes]] = {}
         self._states: dict[FleetPlace, NmtState] = {}
+        self._run = secrets.token_bytes(keys.RUN_BYTES)
+        self._asked: dict[bytes, None] = {}  # the marks of the last queries, oldest first
         self._answering = 0
         self._urgent = 0
         self._urgent_threads = trio.CapacityLimiter(THREADS)
@@ -195,20 +202,41 @@ class FleetDoor:
 
     def _on_state(self, place: FleetPlace, state: NmtState) -> None:
         self._states[place] = state
-        self._put(key_of(place, keys.NMT), state.name.encode())
+        self._put(key_of(place, keys.NMT), state.name.encode(), _stamp())
 
     async def _publish_pdos(self, name: str, net: str) -> None:
+        counts: dict[tuple[int, int], int] = defaultdict(int)
         with self._service.master.events(PdoReceived, bus=net) as pdos:
             async for pdo in pdos:
                 place = FleetPlace(self.site, name, pdo.node_id)
                 if pdo.number and pdo.node_id:
                     self._appear(place)
-                    self._put(key_of(place, keys.PDO, str(pdo.number)), _stamp() + pdo.data)
+                    counts[pdo.node_id, pdo.number] += 1
+                    beside = keys.count_bytes(self._run, counts[pdo.node_id, pdo.number], pdos.dropped)
+                    self._put(key_of(place, keys.PDO, str(pdo.number)), _stamp() + pdo.data, beside)
 
     async def _publish_status(self, name: str, net: str) -> None:
+        dropped = 0
         while True:
+            if self.dropped != dropped:
+                dropped = self.dropped
+                self._look_again(name, net)
             self._put(key_of(FleetPlace(self.site, name), keys.STATUS), _json(self._status(name, net)))
             await trio.sleep(STATUS_PERIOD)
+
+    def _look_again(self, name: str, net: str) -> None:
+        """Tell the states that the bus itself has heard: events were dropped, and some were the only ones of a node."""
+        network, now = self._service.master.bus(net).network, self._service.master.now()
+        for node_id in network.heard_nodes():
+            place, heard = FleetPlace(self.site, name, node_id), network.heard(node_id)
+            if heard.time is None or heard.state is None:
+                continue
+            if now - heard.time < SILENT_AFTER:
+                self._appear(place)
+                if heard.state is not self._states.get(place):
+                    self._on_state(place, heard.state)
+            elif heard.service is HeardService.HEARTBEAT:
+                self._disappear(place)
 
     async def _ask_around(self, name: str, net: str) -> None:
         """Ask each node-ID once who is there: one that sends no heartbeat would not be seen else."""
@@ -237,8 +265,10 @@ class FleetDoor:
         bus = self._service.master.bus(net)
         return {
             "bus": net,
+            "run": self._run.hex(),
             "outage": bus.network.outage,
             "nodes": {str(place.node_id): self._state_name(place) for place in self.alive if place.bus == name},
+            "names": names_of_nodes(self._service.master, net),
             "allow": sorted(each.value for each in self._service.guard.allowed),
             "chains": [each.name for each in self._service.master.chains.values()],
             "moved_by": "" if self._service.lease.owner is None else self._service.lease.owner.name,
@@ -251,10 +281,10 @@ class FleetDoor:
         state = self._states.get(place)
         return "" if state is None else state.name
 
-    def _put(self, key: str, data: bytes) -> None:
+    def _put(self, key: str, data: bytes, beside: bytes | None = None) -> None:
         import zenoh
 
-        self._zenoh.put(key, data, congestion_control=zenoh.CongestionControl.DROP)
+        self._zenoh.put(key, data, attachment=beside, congestion_control=zenoh.CongestionControl.DROP)
 
     def _appear(self, place: FleetPlace) -> None:
         if place not in self._tokens:
@@ -270,6 +300,9 @@ class FleetDoor:
 
     def _take(self, query: zenoh.Query, nursery: trio.Nursery) -> None:
         """Begin with a query, in trio's thread."""
+        if self._is_copy(query):
+            query.drop()  # type: ignore[no-untyped-call]
+            return
         key = str(query.key_expr)
         found = parse_key(key)
         if found is not None and found[1][0] in URGENT:  # they have room of their own, whatever else is asked
@@ -291,6 +324,18 @@ class FleetDoor:
             nursery.start_soon(self._refuse, query, GatewayFullError("requests at a time", self._service.limits.requests))
         else:
             nursery.start_soon(self._answer, query, *found)
+
+    def _is_copy(self, query: zenoh.Query) -> bool:
+        """Return whether a query has come before: by another router, to which both sides are connected. It is served once."""
+        mark = b"" if query.attachment is None else bytes(query.attachment)
+        if len(mark) != keys.MARK_BYTES:
+            return False  # of another program
+        if mark in self._asked:
+            return True
+        self._asked[mark] = None
+        if len(self._asked) > MOST_MARKS:
+            del self._asked[next(iter(self._asked))]
+        return False
 
     async def _refuse(self, query: zenoh.Query, error: GatewayError) -> None:
         try:
@@ -368,6 +413,9 @@ class FleetDoor:
                 return [(self._state_name(place).encode(), None)]
             case int(node_id), [keys.EMCY] if node_id:
                 return [(each, None) for each in self._emergencies.get(place, ())]
+            case int(node_id), [keys.OBJECTS] if node_id:
+                dictionary = self._service.node(net, node_id).dictionary
+                return [(_json({"objects": [object_data(dictionary, variable) for variable in dictionary]}), None)]
             case int(node_id), [keys.PDOS] if node_id:
                 return [(_json(_pdos_of(self._service.node(net, node_id))), None)]
         raise QueryRefusedError(f"{'/'.join(rest)[:200]!r} is nothing that can be asked for here")
@@ -384,10 +432,12 @@ class FleetDoor:
                 self._disappear(place)
             raise
         self._appear(place)
-        beside: dict[str, object] = {"object": f"{index:04X}:{subindex:02X}"}
+        beside: dict[str, object] = {"object": f"{index:04X}:{subindex:02X}", "time": time.time_ns()}
         variable = node.dictionary.get(index, subindex)
         if variable is not None:
             beside |= {"name": variable.name, "type": variable.data_type.name, "unit": variable.unit}
+            if constants := value_data(node.dictionary, index, subindex, data)["constants"]:
+                beside["constants"] = constants
         return data, _json(beside)
 
     async def _write(self, net: str, place: FleetPlace, text: str, payload: bytes, encoding: str) -> None:
@@ -422,12 +472,18 @@ def _pdos_of(node: Node) -> dict[str, object]:
                 "object": f"{index_of(mux):04X}:{subindex_of(mux):02X}",
                 "name": label,
                 "type": entry.data_type.name,
+                "unit": _unit_of(node, mux),
                 "bits": entry.bit_length,
             }
             for mux, label, entry in zip(pdo.mapping.muxes, pdo.mapping.labels, pdo.mapping.components, strict=True)
         ]
         for number, pdo in node.remote.tpdos.items()
     }
+
+
+def _unit_of(node: Node, mux: Mux) -> str:
+    variable = node.dictionary.get(index_of(mux), subindex_of(mux))
+    return "" if variable is None else variable.unit
 
 
 def _value(payload: bytes) -> Value:

@@ -18,8 +18,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import secrets
-from collections.abc import AsyncIterator, Callable, Collection, Sequence
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
@@ -27,8 +29,17 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from canopen_gateway.errors import BridgeRefusedError, FleetError
 from canopen_gateway.fleet import keys
 from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
-from canopen_gateway.fleet.keys import FleetPlace, key_of, parse_key, parse_place
-from canopen_gateway.fleet.news import FleetEmcy, FleetNews, FleetPdo, FleetState, PlaceAppeared, PlaceGone
+from canopen_gateway.fleet.keys import FleetPlace, key_of, parse_count, parse_key, parse_place
+from canopen_gateway.fleet.news import (
+    FleetEmcy,
+    FleetField,
+    FleetNews,
+    FleetPdo,
+    FleetState,
+    FleetStatus,
+    PlaceAppeared,
+    PlaceGone,
+)
 from canopen_gateway.nmt_words import NMT_COMMANDS
 from canopen_master.participant.subscription import Subscription
 from canopen_proto import LocalProtocolError, NmtCommand
@@ -43,9 +54,23 @@ if TYPE_CHECKING:
 N = TypeVar("N", bound=FleetNews)
 PATIENCE: Final = 10.0
 """Seconds that an answer may take; that of a silent node comes from its bridge, after the bridge's own time-out."""
+READS_AT_A_TIME: Final = 8
+"""Reads of one site that `read_all` has under way: four viewers fit into what a bridge serves."""
+COPIES: Final = 8
+"""How much later, in things told under one key, a copy may come."""
+MOST_KEYS: Final = 200_000
+"""Keys of which the last things told are remembered."""
+MOST_TEXT: Final = 500
+"""Characters of a text that a bridge tells."""
+MOST_STATUS: Final = 1 << 16
+"""Bytes of a status: those of a bus with 127 named nodes have a tenth."""
 RENEWAL: Final = 0.1
 """Seconds from one sign of life of a lease to the next; it is over after three of them."""
+EVERYWHERE: Final = FleetPlace(keys.ANY, keys.ANY, -1)
+ON_REQUEST: Final[Mapping[type[FleetNews], Sequence[str]]] = {FleetPdo: (keys.PDO, keys.ANY), FleetStatus: (keys.STATUS,)}
+"""News that come over the network only while somebody takes them, and under which key."""
 _NMT_WORDS: Final = {command: word for word, command in NMT_COMMANDS.items()}
+_PDO_NUMBER: Final = re.compile(r"[1-9][0-9]{0,2}\Z")
 _STAMP: Final = 8
 _EMCY_LENGTH: Final = 8
 
@@ -53,7 +78,8 @@ _EMCY_LENGTH: Final = 8
 class FleetValue(NamedTuple):
     """An object that was read through a fleet. key: as it was asked for, "6041:00" or a name. value: as the bridge's dictionary
     has it, else bytes; None if there is none. name, unit: of the dictionary, or "". data: the bytes. problem: why there is no
-    value; "" if there is."""
+    value; "" if there is. object: "6041:00", and data_type: as the bridge knows them, or "". time: of the bridge's clock, ns
+    since 1970; None if it has not told. constants: names that the bridge's dictionary has for this value."""
 
     place: FleetPlace
     key: str
@@ -62,6 +88,10 @@ class FleetValue(NamedTuple):
     unit: str = ""
     data: bytes = b""
     problem: str = ""
+    object: str = ""
+    data_type: str = ""
+    time: int | None = None
+    constants: Sequence[str] = ()
 
 
 class FleetAnswer(NamedTuple):
@@ -70,6 +100,54 @@ class FleetAnswer(NamedTuple):
     place: FleetPlace
     data: bytes
     attachment: dict[str, Any]
+
+
+class _Entry(NamedTuple):
+    """What a PDO carries at one place, as its bridge tells. bits: its length."""
+
+    object: str
+    name: str
+    data_type: DataType
+    unit: str
+    bits: int
+
+
+class _Wish(NamedTuple):
+    """Which news a subscription takes. at: patterns of places."""
+
+    subscription: Subscription[Any]
+    kinds: tuple[type[FleetNews], ...]
+    at: Collection[FleetPlace]
+
+    def takes(self, event: FleetNews) -> bool:
+        return isinstance(event, self.kinds) and any(_is_at(event.place, pattern) for pattern in self.at)
+
+    def requests(self) -> Iterator[str]:
+        """The keys of what comes only on request."""
+        for news, rest in ON_REQUEST.items():
+            if any(issubclass(news, kind) for kind in self.kinds):
+                for pattern in self.at:
+                    yield key_of(pattern.bus_place if news is FleetStatus else pattern, *rest)
+
+
+class _Copies:
+    """Knows what has come before, by another router. What is told twice on purpose has another time, or another count."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, deque[tuple[bytes, bytes]]] = {}
+
+    def has(self, key: str, beside: bytes, data: bytes) -> bool:
+        """Return whether this is a copy of one of the last things told under a key; remember it."""
+        last = self._seen.get(key)
+        if last is None:
+            last = self._seen[key] = deque(maxlen=COPIES)
+            if len(self._seen) > MOST_KEYS:
+                del self._seen[next(iter(self._seen))]
+        told = beside, data
+        if told in last:
+            return True
+        last.append(told)
+        return False
 
 
 class Fleet:
@@ -81,10 +159,11 @@ class Fleet:
         self._loop = loop
         self._token: LoopToken = loop.token()
         self._alive: set[FleetPlace] = set()
-        self._subscriptions: list[tuple[Subscription[Any], tuple[type[FleetNews], ...]]] = []
-        self._pdos: dict[tuple[FleetPlace, str], Sequence[tuple[str, DataType, int]]] = {}
+        self._subscriptions: list[_Wish] = []
+        self._pdos: dict[tuple[FleetPlace, str], Sequence[_Entry]] = {}
         self._asking: set[FleetPlace] = set()
-        self._listening: zenoh.Subscriber[None] | None = None
+        self._copies = _Copies()
+        self._listening: dict[str, zenoh.Subscriber[None]] = {}
         self._came = loop.parking_lot()
         self._last = 0.0
 
@@ -112,13 +191,13 @@ class Fleet:
         wanted = _place(pattern, node=True)
         return [place for place in self.nodes if place.matches(wanted)]
 
-    def news(self, *kinds: type[N]) -> Subscription[N]:
-        """Return an async iterator over news of these kinds from now on; FleetNews: all. With FleetPdo, or FleetNews, the PDOs of
-        all buses come over the network from here on."""
+    def news(self, *kinds: type[N], at: Collection[FleetPlace | str] = (EVERYWHERE,)) -> Subscription[N]:
+        """Return an async iterator over news of these kinds from now on; FleetNews: all. at: of these nodes, and their buses;
+        each may be a pattern. With FleetPdo, FleetStatus or FleetNews, the PDOs of these nodes, or the status of their buses,
+        come over the network from here on. Raises ValueError."""
         subscription: Subscription[N] = Subscription(self._unsubscribe)
-        self._subscriptions.append((subscription, kinds))
-        if self._listening is None and any(issubclass(FleetPdo, kind) for kind in kinds):
-            self._listening = self._zenoh.declare_subscriber(f"{keys.ROOT}/*/*/*/{keys.PDO}/*", self._hand_over(self._on_sample))
+        self._subscriptions.append(_Wish(subscription, kinds, tuple(_place(each, node=True) for each in at)))
+        self._listen()
         return subscription
 
     # ---- objects ----
@@ -129,26 +208,44 @@ class Fleet:
         where, text = _place(place, node=True), _text(key)
         if where.node_id < 0 or keys.ANY in where:
             raise ValueError(f"{where} is many nodes: read_all reads them")
-        (answer,) = await self.ask(where, keys.GET, text) or (None,)
-        if answer is None:
+        answers = await self.ask(where, keys.GET, text)
+        if not answers:
             raise self._away(where)
+        answer = answers[0]
         return _value_of(where, text, answer)
 
     async def read_all(self, pattern: FleetPlace | str, key: str | int) -> list[FleetValue]:
-        """Read an object of all nodes that a pattern names, side by side; one that fails has a `problem`. Raises ValueError."""
+        """Read an object of all nodes that a pattern names, side by side: READS_AT_A_TIME of each site; a bridge serves only
+        so many. One that fails has a `problem`. Raises ValueError."""
         text = _text(key)
         found: dict[FleetPlace, FleetValue] = {}
+        waiting: dict[str, list[FleetPlace]] = {}
+        for place in reversed(self.matching(pattern)):
+            waiting.setdefault(place.site, []).append(place)
 
-        async def read(place: FleetPlace) -> None:
-            try:
-                found[place] = await self.read(place, text)
-            except (FleetError, BridgeRefusedError) as error:
-                found[place] = FleetValue(place, text, None, problem=error.failed)
+        async def read(places: list[FleetPlace]) -> None:
+            while places:
+                place = places.pop()
+                try:
+                    found[place] = await self.read(place, text)
+                except (FleetError, BridgeRefusedError) as error:
+                    found[place] = FleetValue(place, text, None, problem=error.failed)
 
         async with self._loop.open_nursery() as nursery:
-            for place in self.matching(pattern):
-                nursery.start_soon(read, place)
+            for places in waiting.values():
+                for _ in range(min(READS_AT_A_TIME, len(places))):
+                    nursery.start_soon(read, places)
         return [found[place] for place in sorted(found)]
+
+    async def objects(self, place: FleetPlace | str) -> Sequence[Any]:
+        """Return the objects that a node has by its bridge's dictionary: "path" ("6041:00"), "name", "type", "access", "unit",
+        "constants" of each, whatever the bridge tells. Raises as `read`; BridgeRefusedError of a bridge that cannot tell it."""
+        where = self._one_node(place)
+        answers = await self.ask(where, keys.OBJECTS)
+        if not answers:
+            raise self._away(where)
+        told = _object(answers[0].data).get("objects")
+        return told if isinstance(told, list) else ()
 
     async def write(self, place: FleetPlace | str, key: str | int, value: Value) -> None:
         """Write an object of a node. value: its bytes, or what the bridge's dictionary takes. Raises FleetError (it may have been
@@ -187,7 +284,10 @@ class Fleet:
         answers = await self.ask(where, keys.HALT)
         if not answers:
             raise FleetError(f"nobody at {where} answered the halt", seen=self._seen(), tries=("the emergency stop",))
-        return {answer.place: [str(each) for each in json.loads(answer.data)] for answer in answers}
+        found: dict[FleetPlace, list[str]] = {}
+        for answer in answers:  # two for one place: what any of them says counts
+            found.setdefault(answer.place, []).extend(_problems(answer.data))
+        return found
 
     @asynccontextmanager
     async def lead(self, place: FleetPlace | str) -> AsyncIterator[FleetLease]:
@@ -215,11 +315,12 @@ class Fleet:
 
     def end(self, reason: BaseException) -> None:
         """End all subscriptions (`open_fleet` does)."""
-        for subscription, _ in self._subscriptions:
-            subscription.end(reason)
+        for wish in self._subscriptions:
+            wish.subscription.end(reason)
 
     async def ask(self, place: FleetPlace, *rest: str, payload: bytes = b"", encoding: str = "") -> list[FleetAnswer]:
-        """Send a query, and return its answers; none if nobody is there. Raises BridgeRefusedError if there is no other one."""
+        """Send a query, and return its answers; none if nobody is there. Raises BridgeRefusedError if there is no other one;
+        FleetError if several bridges have answered for one place, but to a halt."""
         import zenoh
 
         replies: list[zenoh.Reply] = []
@@ -234,6 +335,7 @@ class Fleet:
             key_of(place, *rest),
             handler,
             payload=payload or None,
+            attachment=secrets.token_bytes(keys.MARK_BYTES),
             encoding=encoding or None,
             timeout=self._patience,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -247,6 +349,9 @@ class Fleet:
                 answers.append(FleetAnswer(place if found is None else found[0], bytes(reply.ok.payload), _object(beside)))
             elif reply.err is not None:
                 refused = _refused(place, bytes(reply.err.payload))
+        bridges = {str(reply.replier_id) for reply in replies}
+        if len(bridges) > 1 and keys.ANY not in place.bus_place and keys.HALT not in rest:
+            raise self._twins(place.bus_place, payload != b"")
         if refused is not None and not answers:
             raise refused
         return answers
@@ -281,31 +386,44 @@ class Fleet:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         found = parse_key(str(sample.key_expr))
-        if found is None or found[0].node_id <= 0:
+        if found is None or found[0].node_id < 0 or keys.ANY in found[0]:
             return
         place, rest, data = found[0], list(found[1]), bytes(sample.payload)
+        if not place.node_id:
+            if rest == [keys.STATUS] and len(data) <= MOST_STATUS:
+                self._tell(FleetStatus(place, _object(data)))
+            return
+        beside = b"" if sample.attachment is None else bytes(sample.attachment)
+        has_time = bool(beside) or rest != [keys.NMT]
+        if has_time and self._copies.has(str(sample.key_expr), beside, data):
+            return
         match rest:
             case [keys.NMT]:
                 name = data.decode("ascii", "replace")
-                self._tell(FleetState(place, NmtState[name] if name in NmtState.__members__ else None))
+                stamp = int.from_bytes(beside, "little") if len(beside) == _STAMP else None
+                self._tell(FleetState(place, NmtState[name] if name in NmtState.__members__ else None, stamp))
             case [keys.EMCY] if len(data) == _STAMP + _EMCY_LENGTH:
                 self._tell(_emcy(place, data))
-            case [keys.PDO, number] if number.isdigit() and len(data) >= _STAMP:
+            case [keys.PDO, number] if _PDO_NUMBER.match(number) and len(data) >= _STAMP:
                 stamp, carried = int.from_bytes(data[:_STAMP], "little"), data[_STAMP:]
-                self._tell(FleetPdo(place, int(number), carried, self._values(place, number, carried), stamp))
+                fields = self._fields(place, number, carried)
+                self._tell(FleetPdo(place, int(number), carried, fields, stamp, parse_count(beside)))
 
-    def _values(self, place: FleetPlace, number: str, data: bytes) -> dict[str, Value]:
-        """Return the values of a PDO by name; none while it is not known, or no longer true, what it carries."""
+    def _fields(self, place: FleetPlace, number: str, data: bytes) -> Sequence[FleetField]:
+        """Return what a PDO carries; nothing while that is not known, or no longer true."""
         entries = self._pdos.get((place, number))
-        if entries is None or sum(bits for _, _, bits in entries) != 8 * len(data):
+        if entries is None or sum(each.bits for each in entries) != 8 * len(data):
             self._ask_for_pdos(place)
-            return {}
-        values, bits, at = {}, int.from_bytes(data, "little"), 0
-        for name, data_type, length in entries:
-            field = (bits >> at) & ((1 << length) - 1)
-            at += length
-            values[name] = decode(field.to_bytes((length + 7) // 8, "little"), data_type)
-        return values
+            return ()
+        fields, bits, at = [], int.from_bytes(data, "little"), 0
+        for entry in entries:
+            carried = ((bits >> at) & ((1 << entry.bits) - 1)).to_bytes((entry.bits + 7) // 8, "little")
+            at += entry.bits
+            value: Value = carried
+            with contextlib.suppress(LocalProtocolError, ValueError):  # no time of a day
+                value = decode(carried, entry.data_type)
+            fields.append(FleetField(entry.object, entry.name, entry.data_type, entry.unit, value, carried))
+        return fields
 
     def _ask_for_pdos(self, place: FleetPlace) -> None:
         if place not in self._asking:
@@ -313,26 +431,40 @@ class Fleet:
             self._loop.spawn_system_task(self._learn_pdos, place, name=f"what the PDOs of {place} carry")
 
     async def _learn_pdos(self, place: FleetPlace) -> None:
-        with contextlib.suppress(FleetError, BridgeRefusedError):
+        # A bridge may tell nonsense: then it is not known what its PDOs carry
+        nonsense = KeyError, TypeError, ValueError, AttributeError, RecursionError
+        with contextlib.suppress(FleetError, BridgeRefusedError, *nonsense):
             for answer in await self.ask(place, keys.PDOS):
                 for number, entries in _object(answer.data).items():
                     self._pdos[place, number] = [
-                        (str(each["name"]), DataType[each["type"]], int(each["bits"])) for each in entries
+                        _Entry(
+                            str(each["object"]),
+                            str(each["name"]),
+                            DataType[each["type"]],
+                            str(each.get("unit", "")),
+                            _bits(each["bits"]),
+                        )
+                        for each in entries
                     ]
         self._asking.discard(place)
 
     def _tell(self, event: FleetNews) -> None:
-        for subscription, kinds in self._subscriptions:
-            if isinstance(event, kinds):
-                subscription.put(event)
+        for wish in self._subscriptions:
+            if wish.takes(event):
+                wish.subscription.put(event)
 
     def _unsubscribe(self, subscription: Subscription[Any]) -> None:
-        self._subscriptions = [each for each in self._subscriptions if each[0] is not subscription]
-        if self._listening is not None and not any(
-            issubclass(FleetPdo, kind) for _, kinds in self._subscriptions for kind in kinds
-        ):
-            self._listening.undeclare()  # type: ignore[no-untyped-call]
-            self._listening = None
+        self._subscriptions = [each for each in self._subscriptions if each.subscription is not subscription]
+        self._listen()
+
+    def _listen(self) -> None:
+        """Let come over the network what somebody takes, and nothing else. Where two patterns meet, it comes twice, and the copy
+        is left alone."""
+        wanted = {key for wish in self._subscriptions for key in wish.requests()}
+        for key in self._listening.keys() - wanted:
+            self._listening.pop(key).undeclare()  # type: ignore[no-untyped-call]
+        for key in wanted - self._listening.keys():
+            self._listening[key] = self._zenoh.declare_subscriber(key, self._hand_over(self._on_sample))
 
     def _one_node(self, place: FleetPlace | str) -> FleetPlace:
         where = _place(place, node=True)
@@ -346,6 +478,14 @@ class Fleet:
             seen=self._seen(),
             cause="its bridge is away, hung, or was told not to answer this program",
             tries=("canopen fleet ls", "canopen serve zenoh on the computer that has the bus"),
+        )
+
+    def _twins(self, place: FleetPlace, changes: bool) -> FleetError:
+        return FleetError(
+            f"several bridges have the name {place}" + ("; each of them may have done it" if changes else ""),
+            seen="more than one has answered, and nobody can tell which machine is which",
+            cause="two computers were given one --site, or two bridges serve one bus",
+            tries=("a --site of its own for each computer",),
         )
 
     def _seen(self) -> str:
@@ -362,6 +502,7 @@ class FleetLease:
         self.problem = ""
         self._fleet = fleet
         self._number = secrets.token_hex(16)
+        self._term = ""
         self._sequence = 0
 
     async def enable(self, chain: str) -> None:
@@ -396,11 +537,12 @@ class FleetLease:
     async def say(self, do: str, **what: object) -> None:
         """Say what is wanted, and take what the bridge tells. Raises BridgeRefusedError, FleetError."""
         self._sequence += 1
-        said = {"client": self._number, "sequence": self._sequence, "do": do, **what}
+        said = {"client": self._number, "term": self._term, "sequence": self._sequence, "do": do, **what}
         answers = await self._fleet.ask(self.place, keys.LEASE, payload=json.dumps(said).encode(), encoding="application/json")
         if not answers:
             raise self._fleet._away(self.place)
         told = _object(answers[0].data)
+        self._term = str(told.get("term", ""))
         self.doing, self.problem = str(told.get("doing", "")), str(told.get("problem", ""))
 
 
@@ -428,6 +570,11 @@ def _place(place: FleetPlace | str, *, node: bool = False) -> FleetPlace:
     return found
 
 
+def _is_at(place: FleetPlace, pattern: FleetPlace) -> bool:
+    """Return whether a pattern of nodes names a node, or the bus of one."""
+    return place.matches(pattern) if place.node_id else place.matches(pattern.bus_place)
+
+
 def _text(key: str | int) -> str:
     text = _number_text(key) if isinstance(key, int) else key
     if not keys.OBJECT.match(text):
@@ -442,18 +589,29 @@ def _number_text(number: int) -> str:
 
 def _value_of(place: FleetPlace, key: str, answer: FleetAnswer) -> FleetValue:
     beside = answer.attachment
-    name, unit = str(beside.get("name", "")), str(beside.get("unit", ""))
+    name, unit = _told(beside, "name"), _told(beside, "unit")
     kind = beside.get("type")
     value: Value = answer.data
     if isinstance(kind, str) and kind in DataType.__members__:
         with contextlib.suppress(LocalProtocolError, ValueError):  # another length than its type has: the bytes
             value = decode(answer.data, DataType[kind])
-    return FleetValue(place, key, value, name, unit, answer.data)
+    data_type, stamp, named = _told(beside, "type"), beside.get("time"), beside.get("constants")
+    time = stamp if isinstance(stamp, int) else None
+    constants = tuple(each for each in named if isinstance(each, str)) if isinstance(named, list) else ()
+    told = _told(beside, "object")
+    return FleetValue(place, key, value, name, unit, answer.data, "", told, data_type, time, constants)
 
 
 def _emcy(place: FleetPlace, data: bytes) -> FleetEmcy:
     stamp, told = int.from_bytes(data[:_STAMP], "little"), data[_STAMP:]
     return FleetEmcy(place, int.from_bytes(told[:2], "little"), told[2], told[3:8], stamp)
+
+
+def _bits(told: object) -> int:
+    """Return the length of a value in a PDO. Raises ValueError for what is none."""
+    if not isinstance(told, int) or not 0 < told <= 64:
+        raise ValueError(f"{str(told)[:20]} is no number of bits in a PDO")
+    return told
 
 
 def _object(data: bytes) -> dict[str, Any]:
@@ -464,15 +622,32 @@ def _object(data: bytes) -> dict[str, Any]:
     return said if isinstance(said, dict) else {}
 
 
+def _problems(data: bytes) -> list[str]:
+    """Return what a bridge says of a halt; nonsense confirms nothing."""
+    try:
+        said = json.loads(data)
+    except (ValueError, RecursionError):
+        said = None
+    if not isinstance(said, list):
+        return ["its bridge does not say whether all stands"]
+    return [each[:MOST_TEXT] if isinstance(each, str) else "a problem that its bridge does not name" for each in said]
+
+
+def _told(said: Mapping[str, Any], name: str) -> str:
+    """Return a text that a bridge tells, cut; "" for something else."""
+    text = said.get(name)
+    return text[:MOST_TEXT] if isinstance(text, str) else ""
+
+
 def _refused(place: FleetPlace, data: bytes) -> BridgeRefusedError:
     said = _object(data)
     abort = said.get("abort")
-    message = str(said.get("message") or "it gave no reason")[:500]
-    where = str(said.get("place") or place)[:100]
+    message = _told(said, "message") or "it gave no reason"
+    where = _told(said, "place")[:100] or str(place)
     return BridgeRefusedError(
         message if where in message else f"{where}: {message}",
-        bridge_code=str(said.get("code", ""))[:20],
-        seen=str(said.get("seen", ""))[:500],
-        abort_code=abort if isinstance(abort, int) else None,
+        bridge_code=_told(said, "code")[:20],
+        seen=_told(said, "seen"),
+        abort_code=abort if isinstance(abort, int) and 0 <= abort < 1 << 32 else None,
         not_confirmed=said.get("not_confirmed") is True,
     )

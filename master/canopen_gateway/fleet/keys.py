@@ -9,9 +9,14 @@
     canopen/v1/SITE/BUS/NODE/pdo/NUMBER     published: each PDO that the bridge takes
     canopen/v1/SITE/BUS/NODE/emcy           published: each emergency. Query: the last ones
     canopen/v1/SITE/BUS/NODE/pdos           query: what the PDOs carry, as JSON
+    canopen/v1/SITE/BUS/NODE/objects        query: the objects that it has, by the bridge's dictionary, as JSON
     canopen/v1/SITE/BUS/status              published once a second. Query: the same
     canopen/v1/SITE/BUS/lease               query: who moves the machine, and intents to move it
     canopen/v1/SITE/BUS[/NODE]/halt         query: stop what moves
+
+Where both sides are connected to two routers, everything comes twice. So beside a query stands a mark, and it is served once.
+Beside a PDO stands its count (`count_bytes`), so whoever takes it knows what was lost on the way; beside an NMT state the time of
+the bridge.
 
 `get`, `set`, `command` and `lease` are keys of their own, since rules of access in Zenoh know keys and not payloads. All names
 are ASCII and without wildcards, so a key is an MQTT topic, too. NODE is decimal.
@@ -20,6 +25,7 @@ are ASCII and without wildcards, so a key is an MQTT topic, too. NODE is decimal
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -37,9 +43,15 @@ NMT: Final = "nmt"
 PDO: Final = "pdo"
 EMCY: Final = "emcy"
 PDOS: Final = "pdos"
+OBJECTS: Final = "objects"
 STATUS: Final = "status"
 LEASE: Final = "lease"
 HALT: Final = "halt"
+MARK_BYTES: Final = 16
+"""Beside a query stands a random mark: where it comes on two ways, the bridge serves it once."""
+RUN_BYTES: Final = 8
+"""By which a run of a bridge is told from the one before."""
+_COUNT: Final = struct.Struct(f"<{RUN_BYTES}sQQ")
 _NUMBER: Final = re.compile(r"[1-9][0-9]{0,2}\Z")
 
 
@@ -114,6 +126,25 @@ def parse_key(key: str) -> tuple[FleetPlace, Sequence[str]] | None:
             return None
         rest = rest[1:]
     return (FleetPlace(site, bus, node_id), rest) if rest else None
+
+
+class PdoCount(NamedTuple):
+    """What stands beside a PDO. run: the bridge's, drawn at its start. number: of this PDO in that run, from 1. lost: PDOs of the
+    bus so far that came faster than the bridge took them: of which node is not known."""
+
+    run: bytes
+    number: int
+    lost: int
+
+
+def count_bytes(run: bytes, number: int, lost: int) -> bytes:
+    """Return a PdoCount as it stands beside a PDO."""
+    return _COUNT.pack(run, number, lost)
+
+
+def parse_count(data: bytes) -> PdoCount | None:
+    """Return what stands beside a PDO; None if it is something else, or nothing."""
+    return PdoCount(*_COUNT.unpack(data)) if len(data) == _COUNT.size else None
 
 
 def _node_words(node_id: int) -> tuple[str, ...]:

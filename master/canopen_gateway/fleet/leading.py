@@ -1,8 +1,10 @@
 """`RemoteLead`: the lease of a machine (lease.py), for clients that speak JSON and have no connection of their own.
 
-    {"client": "1f3a...", "sequence": 7, "do": "jog", "chain": "arm", "velocities": [0.1, 0.0]}
+    {"client": "1f3a...", "term": "9c0e...", "sequence": 7, "do": "jog", "chain": "arm", "velocities": [0.1, 0.0]}
 
 client: a random text that each client makes and keeps for itself: the proof that two messages are of one client.
+term: what the answer to `take` said; every other message has it. Each lease has another one, so a message of an earlier lease,
+which was delayed or is sent once more, is refused also where its client has taken the lease anew.
 sequence: greater in each message. do: take, renew, enable, jog, move (targets, speed), stop, disable, leave. Whoever has the
 lease and is not heard for 300 ms by the clock of this computer has it no longer, and what it moved is halted.
 """
@@ -10,6 +12,7 @@ lease and is not heard for 300 ms by the clock of this computer has it no longer
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -24,10 +27,11 @@ INTENTS: Final = ("take", "renew", "enable", "jog", "move", "stop", "disable", "
 
 
 class _Holder:
-    """A client that has the lease, or wants it. name: for people; the proof stays here."""
+    """A client that has the lease, or wants it. name: for people; the proof stays here. term: of this lease alone."""
 
     def __init__(self, proof: str) -> None:
         self.proof = proof
+        self.term = secrets.token_hex(8)
         self.name = "a viewer of the fleet"
 
 
@@ -54,6 +58,10 @@ class RemoteLead:
             if do != "take":
                 raise LeaseError("this client does not have the lease, or not any more", tries=("take it first",))
             holder = _Holder(proof)
+        elif do != "take" and said.get("term") != holder.term:
+            raise LeaseError(
+                "a message of another lease was refused", seen='its "term" is not the one that the answer to `take` gave'
+            )
         chain = str(said.get("chain", ""))
         match do:
             case "take":
@@ -74,7 +82,7 @@ class RemoteLead:
                 lease.stop(holder, sequence)
             case "leave":
                 lease.leave(holder)
-        return {"left": lease.left, "doing": lease.doing, "problem": lease.problem}
+        return {"left": lease.left, "doing": lease.doing, "problem": lease.problem, "term": holder.term}
 
 
 def _mapping(payload: bytes) -> Mapping[str, Any]:

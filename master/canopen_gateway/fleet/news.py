@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
-from canopen_gateway.fleet.keys import FleetPlace
-from canopen_proto.datatypes import Value
+from canopen_gateway.fleet.keys import FleetPlace, PdoCount
+from canopen_proto.datatypes import DataType, Value
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 
@@ -34,16 +35,31 @@ class PlaceGone(FleetNews):
     __slots__ = ()
 
 
+class FleetStatus(FleetNews):
+    """A bridge says, once a second, how its bus is. place: of the bus. told: what it says, as `Fleet.status` returns it: whatever
+    a bridge has sent, so it has to be looked at with care."""
+
+    __slots__ = ("told",)
+    __match_args__ = ("node_id", "place", "told")
+
+    def __init__(self, place: FleetPlace, told: Mapping[str, Any]) -> None:
+        self.node_id = place.node_id
+        self.place = place
+        self.told = told
+
+
 class FleetState(FleetNews):
-    """A node has another NMT state. place: of the node. state: None if the bridge sent one that this program does not know."""
+    """A node has another NMT state. place: of the node. state: None if the bridge sent one that this program does not know. time:
+    of the bridge's clock, ns since 1970; None if it has not told."""
 
-    __slots__ = ("state",)
-    __match_args__ = ("node_id", "place", "state")
+    __slots__ = ("state", "time")
+    __match_args__ = ("node_id", "place", "state", "time")
 
-    def __init__(self, place: FleetPlace, state: NmtState | None) -> None:
+    def __init__(self, place: FleetPlace, state: NmtState | None, time: int | None = None) -> None:
         self.node_id = place.node_id
         self.place = place
         self.state = state
+        self.time = time
 
 
 class FleetEmcy(FleetNews):
@@ -62,17 +78,44 @@ class FleetEmcy(FleetNews):
         self.time = time
 
 
+class FleetField(NamedTuple):
+    """A value in a PDO. object: "6041:00". name, unit: of the bridge's dictionary. data: its bytes; its bits, if it has no whole
+    bytes, from the lowest on."""
+
+    object: str
+    name: str
+    data_type: DataType
+    unit: str
+    value: Value
+    data: bytes
+
+
 class FleetPdo(FleetNews):
-    """A PDO has come to a bridge. place: of its node. number: 1..512. data: its bytes. values: by name; empty while the bridge
-    has not told yet what it carries. time: of the bridge's clock, ns since 1970."""
+    """A PDO has come to a bridge. place: of its node. number: 1..512. data: its bytes. fields: what it carries, in its order;
+    empty while the bridge has not told yet. time: of the bridge's clock, ns since 1970. count: which one of its kind it is, for
+    who wants to know what was lost; None if the bridge does not count."""
 
-    __slots__ = ("data", "number", "time", "values")
-    __match_args__ = ("node_id", "place", "number", "data", "values", "time")
+    __slots__ = ("count", "data", "fields", "number", "time")
+    __match_args__ = ("node_id", "place", "number", "data", "fields", "time", "count")
 
-    def __init__(self, place: FleetPlace, number: int, data: bytes, values: Mapping[str, Value], time: int) -> None:
+    def __init__(
+        self,
+        place: FleetPlace,
+        number: int,
+        data: bytes,
+        fields: Sequence[FleetField],
+        time: int,
+        count: PdoCount | None = None,
+    ) -> None:
         self.node_id = place.node_id
         self.place = place
         self.number = number
         self.data = data
-        self.values = values
+        self.fields = fields
         self.time = time
+        self.count = count
+
+    @property
+    def values(self) -> Mapping[str, Value]:
+        """The values by name."""
+        return {each.name: each.value for each in self.fields}

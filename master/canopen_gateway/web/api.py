@@ -4,14 +4,14 @@ In the spirit of CiA 309-5, without a claim to it.
 
 Each request asks the service like any other client: its guard, its limits and its lease decide. An error is a JSON object,
 {"error": {"code", "text", "details", ...}}, with a status that says whose it is: 400 the request, 403 not allowed, 404 not there,
-409 refused by the device or by who moves the machine, 503 the gateway is full, 504 the device is silent.
+409 refused by the device or by who moves the machine, 501 not over a fleet, 503 the gateway is full, 504 the device is silent.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, TypeAlias
 
@@ -21,30 +21,38 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from canopen_gateway.errors import GatewayError, GatewayFullError, LeaseError, NoSuchPlaceError, NotAllowedError
+from canopen_gateway.errors import (
+    GATEWAY_FULL,
+    NO_SUCH_PLACE,
+    NOT_ALLOWED,
+    BridgeRefusedError,
+    FleetError,
+    GatewayError,
+    GatewayFullError,
+    LeaseError,
+    NoSuchPlaceError,
+    NotAllowedError,
+    NotOverFleetError,
+)
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import find_net, find_node, find_object
+from canopen_gateway.places import find_node
 from canopen_gateway.plain_data import (
     Plain,
-    chain_data,
     error_data,
     first_line,
-    lease_data,
-    net_data,
-    node_data,
-    object_data,
-    value_data,
     view_data,
 )
-from canopen_gateway.service import GatewayService, GatewaySession
-from canopen_gateway.values_given import bytes_of
+from canopen_gateway.traffic.network_views import NetworkViews
+from canopen_gateway.traffic.ring import CAPACITY
+from canopen_gateway.traffic.trace import LONGEST, TrafficTrace, number_asked_for
 from canopen_gateway.web.live import LiveClient, LiveHub
 from canopen_gateway.web.metrics import METRICS_TYPE, metrics_text
 from canopen_gateway.web.openapi import description
 from canopen_gateway.web.page import page_files
-from canopen_master import BusError, MasterClosedError, MasterError, Node, SdoTimeoutError
+from canopen_master import BusError, MasterClosedError, MasterError, SdoTimeoutError
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
 from canopen_master.plain_text import clean, json_text
 from canopen_proto import LocalProtocolError, indices
@@ -56,6 +64,8 @@ OCTETS: Final = "application/octet-stream"
 DEVICE_NAME: Final = indices.MANUFACTURER_DEVICE_NAME, 0
 EVENTS_WAITING: Final = 64
 """Events that wait for one reader of the event stream; a slow one misses the rest."""
+MOST_TRACES: Final = 2
+"""Traces that are sent at a time: each holds a copy of its frames meanwhile."""
 LOGGER: Final = logging.getLogger("canopen_gateway")
 Handler: TypeAlias = "Callable[[WebApi, Request], Awaitable[Response]]"
 
@@ -64,6 +74,8 @@ _STATUS: Final[Sequence[tuple[type[Exception], int]]] = (
     (LeaseError, 409),
     (GatewayFullError, 503),
     (NoSuchPlaceError, 404),
+    (NotOverFleetError, 501),
+    (FleetError, 504),
     (SdoTimeoutError, 504),
     (NodeIsNoDriveError, 404),
     (UnknownChainError, 404),
@@ -76,26 +88,32 @@ _STATUS: Final[Sequence[tuple[type[Exception], int]]] = (
     (ValueError, 400),
     (GatewayError, 409),
 )
+_OF_BRIDGES: Final = {NOT_ALLOWED: 403, GATEWAY_FULL: 503, NO_SUCH_PLACE: 404}
+"""Statuses of what a bridge refuses, by its code; 409 for any other."""
 
 
 def status_of(error: Exception) -> int:
     """Return the HTTP status of an error; 500 for one that nobody foresaw."""
+    if isinstance(error, BridgeRefusedError):
+        return 504 if error.is_silence else _OF_BRIDGES.get(error.bridge_code, 409)
     return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
 
 
 class WebApi:
-    """The handlers of the paths; see this module's text. session: the client that all requests are to the service."""
+    """The handlers of the paths; see this module's text. hub: tells what is shown. site: the name of the place, for files."""
 
-    def __init__(self, service: GatewayService, hub: LiveHub, session: GatewaySession) -> None:
-        self.service = service
+    def __init__(self, hub: LiveHub, site: str = "canopen") -> None:
+        self.subject = hub.subject
         self.hub = hub
-        self.session = session
+        self.site = site
+        self._networks: NetworkViews | None = None  # made when it is asked for
+        self._traces = 0  # that are being sent
 
     # ---- the machine ----
 
     async def state(self, request: Request) -> Response:
         """What is allowed, the chains, and who moves them."""
-        return _json({"nets": list(self.service.nets), **self.hub.state()})
+        return _json({"nets": list(self.subject.nets), "absent": self.subject.absent, **self.subject.state()})
 
     async def buses(self, request: Request) -> Response:
         """All nets, with their nodes."""
@@ -103,96 +121,122 @@ class WebApi:
 
     async def nodes(self, request: Request) -> Response:
         """The nodes of a net."""
-        net = find_net(self.service, request.path_params["net"])
-        return _json(net_data(self.service, net)["nodes"])
+        return _json(self.subject.net_data(self._net(request))["nodes"])
 
     async def node(self, request: Request) -> Response:
         """One node."""
-        node = self._node(request)
-        return _json(node_data(self.service.master, node.bus, node.node_id))
+        return _json(self.subject.node_data(*self._node(request)))
 
     async def drive(self, request: Request) -> Response:
         """A drive: read, with the reasons why it does not move."""
-        node = self._node(request)
+        service = self.subject.machine("the view of an axis")
         axis = find_node(request.query_params.get("axis", "0"), least=0)
-        return _json(view_data(await self.service.look_at_drive(node.bus, node.node_id, axis)))
+        return _json(view_data(await service.look_at_drive(*self._node(request), axis)))
 
     async def about(self, request: Request) -> Response:
         """What a node says of itself: its device name (0x1008), and its drive, null if it is none. Silence is no error here."""
-        node = self._node(request)
-        name, drive, problem = "", None, ""
-        try:
-            drive = view_data(await self.service.look_at_drive(node.bus, node.node_id))
-        except NodeIsNoDriveError:
-            LOGGER.debug("%s is no drive", node.where)
-        except (MasterError, ProcedureError) as error:
-            problem = first_line(error)
-        if not problem:
-            try:
-                data = await self.session.read(node.bus, node.node_id, *DEVICE_NAME)
-                name = clean(data.decode("latin-1"))
-            except MasterError as error:
-                LOGGER.debug("%s has no name: %s", node.where, first_line(error))
-        return _json({"name": name, "drive": drive, "problem": problem})
+        return _json(await self.subject.about(*self._node(request)))
 
     async def scan(self, request: Request) -> Response:
         """Ask all node-IDs of a net for their device type: reading, which is open to all."""
-        net = find_net(self.service, request.path_params["net"])
-        await self.service.find_nodes(net)
-        return _json(net_data(self.service, net)["nodes"])
+        net = self._net(request)
+        await self.subject.search(net)
+        return _json(self.subject.net_data(net)["nodes"])
 
     async def chains(self, request: Request) -> Response:
         """The chains, and where their joints are."""
-        return _json([chain_data(chain) for chain in self.service.master.chains.values()])
+        return _json(self.subject.state()["chains"])
 
     async def lease(self, request: Request) -> Response:
         """Who moves the machine."""
-        return _json(lease_data(self.service))
+        return _json(self.subject.state()["lease"])
+
+    # ---- what passes on the bus ----
+
+    async def network(self, request: Request) -> Response:
+        """Who sends which PDO to whom on a net, how often it came, and how much of the bus each node takes. Nothing is sent."""
+        service = self.subject.machine("who sends which PDO to whom")
+        net = self._net(request)
+        names = {each["node"]: clean(each["name"]) for each in self.subject.net_data(net)["nodes"]}
+        number = service.nets.index(net) + 1
+        self._networks = self._networks or NetworkViews(service.master)
+        return _json(await self._networks.of(service.traffic(net), net, number, names))
+
+    async def pdos(self, request: Request) -> Response:
+        """The PDOs of a node, as the device itself tells them: it is asked, which everybody may."""
+        service = self.subject.machine("the PDOs of a node, as the device tells them")
+        net, node_id = self._node(request)
+        found = await service.read_pdos(net, node_id)
+        return _json([each.as_json(service.node(net, node_id).dictionary) for each in found.pdos])
+
+    async def trace(self, request: Request) -> Response:
+        """The last frames of a net, or of all nets, as a log of candump."""
+        service = self.subject.machine("a trace of frames")
+        nets = [self._net(request)] if "net" in request.path_params else service.nets
+        seconds = number_asked_for(request.query_params.get("seconds", str(LONGEST)), 0.0, LONGEST, "seconds")
+        frames = int(number_asked_for(request.query_params.get("frames", "0"), 0, CAPACITY, "frames"))
+        if self._traces >= MOST_TRACES:
+            raise GatewayFullError("traces at a time", MOST_TRACES)
+        self._traces += 1
+        try:
+            traffic = {net: service.traffic(net) for net in nets}
+            trace = await TrafficTrace.take(self.site, traffic, seconds=seconds, frames=frames)
+        except BaseException:
+            self._traces -= 1
+            raise
+        headers = {"content-disposition": f'attachment; filename="{trace.name}"'}
+        return self._sent_trace(_chunks(trace), headers)
+
+    def _sent_trace(self, chunks: AsyncIterator[bytes], headers: Mapping[str, str]) -> Response:
+        """Return the answer that sends a trace, which counts until it has ended, in whatever way; it is counted already."""
+        api = self
+
+        class TraceResponse(StreamingResponse):
+            async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+                try:
+                    await super().__call__(scope, receive, send)
+                finally:
+                    api._traces -= 1
+
+        return TraceResponse(chunks, media_type="text/plain; charset=us-ascii", headers=headers)
 
     # ---- objects ----
 
     async def objects(self, request: Request) -> Response:
         """The objects that a node has by its dictionary. ?search=: only those whose name or place has this text."""
-        node = self._node(request)
         wanted = request.query_params.get("search", "").lower()
-        rows = [object_data(node.dictionary, variable) for variable in node.dictionary]
+        rows = await self.subject.objects(*self._node(request))
         return _json([row for row in rows if wanted in f"{row['path']} {row['name']}".lower()])
 
     async def read(self, request: Request) -> Response:
         """The value of an object; its bytes alone for `Accept: application/octet-stream`."""
-        node = self._node(request)
-        index, subindex = find_object(node.dictionary, request.path_params["object"])
-        data = await self.session.read(node.bus, node.node_id, index, subindex)
+        data, shown = await self.subject.read(*self._node(request), request.path_params["object"])
         if request.headers.get("accept") == OCTETS:
             return Response(data, media_type=OCTETS)
-        return _json(value_data(node.dictionary, index, subindex, data))
+        return _json(shown)
 
     async def write(self, request: Request) -> Response:
         """Write an object: {"value": ...}, a number, a text, a constant by its name; or its bytes as application/octet-stream."""
         node = self._node(request)
-        index, subindex = find_object(node.dictionary, request.path_params["object"])
-        self.service.guard.require_write(index, subindex)  # before the value is looked at: nothing else would help
-        if request.headers.get("content-type", "").partition(";")[0] == OCTETS:
-            data = await request.body()
-        else:
-            data = bytes_of(node, index, subindex, (await _body(request)).get("value"))
-        await self.session.write(node.bus, node.node_id, index, subindex, data)
-        return _json({"written": data.hex(" ")})
+        place = await self.subject.may_write(*node, request.path_params["object"])
+        is_bytes = request.headers.get("content-type", "").partition(";")[0] == OCTETS
+        given = await request.body() if is_bytes else (await _body(request)).get("value")
+        return _json({"written": await self.subject.write(*node, place, given)})
 
     # ---- commands ----
 
     async def nmt(self, request: Request) -> Response:
         """An NMT command to a node, or to all of a net: {"command": "start"}."""
-        net = find_net(self.service, request.path_params["net"])
+        net = self._net(request)
         node_id = find_node(request.path_params["node"]) if "node" in request.path_params else 0
         word = (await _body(request)).get("command")
-        await self.session.nmt(net, nmt_command(word), node_id)
+        await self.subject.nmt(net, nmt_command(word), node_id)
         return _json({"sent": word})
 
     async def halt(self, request: Request) -> Response:
         """Stop what moves: all, or a net. Everybody may, always."""
-        net = find_net(self.service, request.path_params["net"]) if "net" in request.path_params else None
-        return _json({"problems": await self.service.halt(net)})
+        net = self._net(request) if "net" in request.path_params else None
+        return _json({"problems": await self.subject.halt(net)})
 
     # ---- streams, and about this interface ----
 
@@ -227,21 +271,23 @@ class WebApi:
 
     async def metrics(self, request: Request) -> Response:
         """Numbers for Prometheus."""
-        return Response(metrics_text(self.service, self.hub.counts), media_type=METRICS_TYPE)
+        return Response(metrics_text(self.subject.machine("numbers for Prometheus"), self.hub.counts), media_type=METRICS_TYPE)
 
     async def live(self, websocket: WebSocket) -> None:
         """Pulses, values and events; and the hand on the machine."""
         client = websocket.client
         name = "a page" if client is None else f"the page at {client.host}:{client.port}"
         try:
-            with self.service.open_session(name) as session:
-                await LiveClient(self.hub, session, websocket).run()
+            with self.subject.open_client(name) as opened:
+                await LiveClient(self.hub, opened, websocket).run()
         except GatewayFullError as error:
             await websocket.close(1013, first_line(error))
 
-    def _node(self, request: Request) -> Node:
-        net = find_net(self.service, request.path_params["net"])
-        return self.service.node(net, find_node(request.path_params["node"]))
+    def _net(self, request: Request) -> str:
+        return self.subject.find_net(request.path_params["net"])
+
+    def _node(self, request: Request) -> tuple[str, int]:
+        return self._net(request), find_node(request.path_params["node"])
 
 
 ROUTES: Final[Sequence[tuple[str, str, Handler]]] = (
@@ -250,15 +296,19 @@ ROUTES: Final[Sequence[tuple[str, str, Handler]]] = (
     ("GET", f"{API}/chains", WebApi.chains),
     ("GET", f"{API}/lease", WebApi.lease),
     ("GET", f"{API}/events", WebApi.events),
+    ("GET", f"{API}/trace", WebApi.trace),
     ("GET", f"{API}/openapi.json", WebApi.openapi),
     ("POST", f"{API}/halt", WebApi.halt),
     ("GET", f"{API}/{{net}}/nodes", WebApi.nodes),
+    ("GET", f"{API}/{{net}}/network", WebApi.network),
+    ("GET", f"{API}/{{net}}/trace", WebApi.trace),
     ("PUT", f"{API}/{{net}}/nmt", WebApi.nmt),
     ("POST", f"{API}/{{net}}/halt", WebApi.halt),
     ("POST", f"{API}/{{net}}/scan", WebApi.scan),
     ("GET", f"{API}/{{net}}/{{node}}", WebApi.node),
     ("GET", f"{API}/{{net}}/{{node}}/about", WebApi.about),
     ("GET", f"{API}/{{net}}/{{node}}/drive", WebApi.drive),
+    ("GET", f"{API}/{{net}}/{{node}}/pdos", WebApi.pdos),
     ("GET", f"{API}/{{net}}/{{node}}/objects", WebApi.objects),
     ("PUT", f"{API}/{{net}}/{{node}}/nmt", WebApi.nmt),
     ("GET", f"{API}/{{net}}/{{node}}/objects/{{object}}", WebApi.read),
@@ -303,6 +353,12 @@ async def _file(content: bytes, kind: str, request: Request) -> Response:
 
 def _json(data: Any, status: int = 200) -> Response:
     return Response(json_text(data), status, media_type="application/json")
+
+
+async def _chunks(trace: TrafficTrace) -> AsyncIterator[bytes]:
+    for chunk in trace.chunks():
+        yield chunk
+        await trio.lowlevel.checkpoint()
 
 
 async def _body(request: Request) -> Plain:

@@ -13,20 +13,27 @@ import os
 import secrets
 import socket
 import ssl
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import trio
 from hypercorn.config import Config
 from hypercorn.trio import serve
 
 from canopen_gateway.errors import DoorError
+from canopen_gateway.guard import Permission
 from canopen_gateway.listening import address_of, is_loopback, open_listeners
 from canopen_gateway.service import GatewayService, GatewaySession
 from canopen_gateway.web.api import WebApi, web_app
 from canopen_gateway.web.guard import AsgiApp, WebGuard
 from canopen_gateway.web.live import MAX_MESSAGE, LiveHub
+from canopen_gateway.web.machine_subject import MachineSubject
+from canopen_gateway.web.subject import WebSubject
+
+if TYPE_CHECKING:
+    from canopen_gateway.fleet import Fleet
 
 DEFAULT_PORT: Final = 8402
 """After CiA 402; few programs listen there."""
@@ -38,17 +45,24 @@ LEAST_TOKEN: Final = 16
 PING: Final = 5.0
 """Seconds between two pings of a WebSocket."""
 LOOPBACK: Final = ("localhost", "127.0.0.1", "[::1]")
+NAME: Final = "the web door"
 LOGGER: Final = logging.getLogger("canopen_gateway")
 
 
 class WebDoor:
     """See this module's text; made by `bind_web_door`. url: the address of the page, with the token. addresses: where it listens.
-    token: what clients show. failure: why it was closed, or None."""
+    token: what clients show. site: the name of the place, for files. failure: why it was closed, or None."""
 
     def __init__(
-        self, listeners: Iterable[trio.SocketListener], names: Iterable[str], token: str, certificate: tuple[Path, Path] | None
+        self,
+        listeners: Iterable[trio.SocketListener],
+        names: Iterable[str],
+        token: str,
+        certificate: tuple[Path, Path] | None,
+        site: str,
     ) -> None:
         self.token = token
+        self.site = site
         self.failure: Exception | None = None
         self._listeners = list(listeners)
         self._names = tuple(names)
@@ -60,24 +74,39 @@ class WebDoor:
 
     async def serve(self, service: GatewayService) -> None:
         """Serve the page and its interface until cancelled. Returns early only if the door itself fails; see `failure`."""
-        hub = LiveHub(service)
-        await self.serve_app(service, lambda session: web_app(WebApi(service, hub, session)), hub.run)
+        with self._failing_alone(), service.open_session(NAME) as session:
+            await self._serve_page(MachineSubject(service, session))
 
-    async def serve_app(
-        self,
-        service: GatewayService,
-        make: Callable[[GatewaySession], AsgiApp],
-        beside: Callable[[], Awaitable[None]] = trio.sleep_forever,
-    ) -> None:
-        """Serve any application behind the guard, as `serve` does. make: returns it; is given a client of the service. beside:
-        runs meanwhile."""
+    async def serve_fleet(self, fleet: Fleet, allow: Collection[Permission] = ()) -> None:
+        """Serve the page and its interface over a fleet, as `serve` does over a machine. allow: what its clients may change, as
+        far as each bridge allows it, too; by default nothing. Raises ValueError for motion and lss, which no page has over a
+        fleet."""
+        from canopen_gateway.web.fleet_subject import FleetSubject  # here: it needs the extra `fleet`
+
+        subject = FleetSubject(fleet, allow)
+        with self._failing_alone():
+            await self._serve_page(subject)
+
+    async def serve_app(self, service: GatewayService, make: Callable[[GatewaySession], AsgiApp]) -> None:
+        """Serve any application behind the guard, as `serve` does. make: returns it; is given a client of the service."""
+        with self._failing_alone(), service.open_session(NAME) as session:
+            await self._serve_guarded(make(session))
+
+    async def _serve_page(self, subject: WebSubject) -> None:
+        hub = LiveHub(subject)
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(hub.run)
+            await self._serve_guarded(web_app(WebApi(hub, self.site)))
+
+    async def _serve_guarded(self, app: AsgiApp) -> None:
+        tls = self._certificate is not None
+        guarded = WebGuard(app, token=self.token, names=self._names, port=self.port, tls=tls)
+        await serve(guarded, self._config(), mode="asgi")  # type: ignore[arg-type] # it is an ASGI application
+
+    @contextmanager
+    def _failing_alone(self) -> Iterator[None]:
         try:
-            with service.open_session("the web door") as session:
-                tls = self._certificate is not None
-                guarded = WebGuard(make(session), token=self.token, names=self._names, port=self.port, tls=tls)
-                async with trio.open_nursery() as nursery:
-                    nursery.start_soon(beside)
-                    await serve(guarded, self._config(), mode="asgi")  # type: ignore[arg-type] # it is an ASGI application
+            yield
         except* Exception as failed:  # noqa: BLE001 - whatever it is, it ends this door alone
             self.failure = _first(failed)
             LOGGER.warning("the web door is closed: %s", self.failure)
@@ -131,7 +160,9 @@ async def bind_web_door(
     listeners = await open_listeners(host, port)
     for listener in listeners:
         listener.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    return WebDoor(listeners, _names_of(host, names), token or secrets.token_urlsafe(TOKEN_BYTES), certificate)
+    names = tuple(names)
+    site = names[0] if names else socket.gethostname()
+    return WebDoor(listeners, _names_of(host, names), token or secrets.token_urlsafe(TOKEN_BYTES), certificate, site)
 
 
 def _check_certificate(certificate: tuple[Path, Path] | None) -> None:

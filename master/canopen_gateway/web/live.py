@@ -2,23 +2,32 @@
 
 All messages are JSON objects; "k" is their kind. The door sends, by itself:
 
-    hello     what is allowed, the nets, the name of this client; then
+    hello     what is allowed, the nets, the name of this client, and what is "absent" here, with the reason; then
     pulse     ten times a second: chains with positions, the lease, how many messages this client has missed
     nets      twice a second: all nodes with their states
     event     a boot-up, an emergency, a changed state, a lost heartbeat
-    values    up to 25 times a second: [[number, time, value], ...] of what the client watches
+    frames    up to ten times a second, for a monitor: "rows" with [kind, seconds, frame, service, node, text], as
+              `canopen monitor` tells them; how many were "seen", how many of these were wanted ("fitting") and "left_out", and
+              how many the bus itself has "lost"
+    commission  "what" a dialogue says: heading, fact, say, remark, warn, ask, file (in base64), end
+    values    up to 25 times a second: [[number, time, value], ...] of what the client watches; behind them perhaps a problem,
+              and over a fleet how many seconds late it came
     error     what the client asked for was refused; "about" is the kind of its message
     halted    the end of a halt; "problems" has what did not confirm that it stands
 
 A client sends:
 
     watch     "objects": [[net, node, object], ...], "period": seconds; in place of what it watched before
+    monitor   "net", and if not all "nodes" and "services": begin to see frames, in place of those before; "on": false ends it
     halt      always open; "net", "node" if not all
+    commission  "net", "node", perhaps the "name" of its joint: begin the dialogue of `canopen drive commission`
+    answer    "question", "value" (null: its default), and "n" as below: the answer to a question of that dialogue
     take, leave, renew, stop; enable, disable with "chain"; jog with "chain" and "velocities"; move with "chain" and "targets":
               see `Lease`. Each but take and leave has "n", a number above all before
 
 **A slow client delays nobody.** What is sent to it waits in a bounded channel; a message that finds it full is dropped, and
-counted. A client that takes nothing for `Limits.send_seconds` is cut off. The cycle never waits for any of them.
+counted. What a dialogue says has a room of its own (MOST_SAID): it has the files. A client that takes nothing for
+`Limits.send_seconds` is cut off. The cycle never waits for any of them.
 """
 
 from __future__ import annotations
@@ -28,27 +37,24 @@ import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from contextlib import suppress
+from functools import partial
+from typing import Any, Final, TypeVar
 
 import trio
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from canopen_gateway.commissioning import ClientConversation, check_commissioning, commission
 from canopen_gateway.errors import GatewayError
-from canopen_gateway.places import find_net, find_node, find_object
-from canopen_gateway.plain_data import (
-    EXPECTED,
-    Plain,
-    chain_data,
-    error_data,
-    event_data,
-    lease_data,
-    net_data,
-    plain_value,
-)
-from canopen_gateway.service import GatewayService, GatewaySession, HeardOnNet
+from canopen_gateway.places import find_node
+from canopen_gateway.plain_data import EXPECTED, Plain, error_data
+from canopen_gateway.traffic import FrameWish
+from canopen_gateway.traffic.trace import MOST_NAME
 from canopen_gateway.values import WatchedObject
+from canopen_gateway.web.subject import WebClient, WebSubject
 from canopen_master.plain_text import json_text
-from canopen_proto.machine import SECOND
+
+T = TypeVar("T", int, str)
 
 PULSE: Final = 0.1
 """Seconds between two pulses."""
@@ -58,25 +64,29 @@ FLUSH: Final = 0.04
 """Seconds between two messages with values: a page draws at most so often what a person can see."""
 WAITING: Final = 32
 """Messages that wait for one client."""
+MOST_SAID: Final = 400
+"""Messages of a dialogue that wait besides: some hundred are said from one question to the next, where a drive lists as many."""
 MOST_NUMBER: Final = 1e300
 """The greatest number that a message holds."""
 MAX_MESSAGE: Final = 4096
 """Bytes of a message of a client."""
-HEARTBEAT_TIME: Final = 2_500_000_000
-"""ns without a heartbeat until the page says that it is lost: the usual period is 1 s, and two of them may be late."""
+MOVES: Final = frozenset({"take", "leave", "renew", "stop", "enable", "disable", "jog", "move", "commission", "answer"})
+"""Messages about the hand on the machine."""
 LOG_LENGTH: Final = 200
 LOGGER: Final = logging.getLogger("canopen_gateway")
+_LOOK: Final = ""
+"""No message: it wakes the one who sends."""
 
 
 class LiveHub:
     """What all clients of the live channel hear; encoded once for all of them. events: the last ones, as plain data.
     counts: of all events so far, by net, node and kind.
 
-    service: the gateway. clock: seconds since 1970, for events.
+    subject: what is shown. clock: seconds since 1970, for events.
     """
 
-    def __init__(self, service: GatewayService, clock: Callable[[], float] = time.time) -> None:
-        self.service = service
+    def __init__(self, subject: WebSubject, clock: Callable[[], float] = time.time) -> None:
+        self.subject = subject
         self.events: deque[Plain] = deque(maxlen=LOG_LENGTH)
         self.counts: Counter[tuple[str, int, str]] = Counter()
         self._clock = clock
@@ -84,12 +94,9 @@ class LiveHub:
 
     async def run(self) -> None:
         """Listen, and tell the clients, until cancelled."""
-        with self.service.open_session("the page's ear") as ear:
-            for net in self.service.nets:
-                ear.hear_boot_ups(net, True)
-            async with trio.open_nursery() as nursery:
-                nursery.start_soon(self._hear, ear)
-                await self._pulse(ear)
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(self.subject.hear, self._tell_event, self._clock)
+            await self._pulse()
 
     def listen(self, listener: Callable[[str], None]) -> Callable[[], None]:
         """Call `listener` with each message for all clients; return what ends that. It must not block."""
@@ -98,48 +105,22 @@ class LiveHub:
 
     def nets(self) -> list[Plain]:
         """Return all nets with their nodes."""
-        return [net_data(self.service, net) for net in self.service.nets]
+        return [self.subject.net_data(net) for net in self.subject.nets]
 
-    def state(self) -> Plain:
-        """Return what is allowed, the chains, and who moves them."""
-        return {
-            "allow": sorted(each.value for each in self.service.guard.allowed),
-            "mode": self.service.guard.mode,
-            "chains": [chain_data(chain) for chain in self.service.master.chains.values()],
-            "lease": lease_data(self.service),
-        }
-
-    async def _hear(self, ear: GatewaySession) -> None:
-        while True:
-            self._tell_event(await ear.next_event())
-
-    def _tell_event(self, heard: HeardOnNet) -> None:
-        event = event_data(self.service, heard, self._clock())
+    def _tell_event(self, net: str, event: Plain) -> None:
         self.events.append(event)
-        self.counts[heard.net, event["node"], event["kind"]] += 1
+        self.counts[net, event["node"], event["kind"]] += 1
         self._tell({"k": "event", **event})
 
-    async def _pulse(self, ear: GatewaySession) -> None:
+    async def _pulse(self) -> None:
         number = 0
-        watched: set[tuple[str, int]] = set()
         while True:
-            if number % NETS_EACH == 0:
-                self._watch_new_heartbeats(ear, watched)
             if self._listeners:
-                state = self.state()
-                self._tell({"k": "pulse", "time": self.service.master.now() / SECOND, **state})
+                self._tell({"k": "pulse", "time": self.subject.now(), **self.subject.state()})
                 if number % NETS_EACH == 0:
                     self._tell({"k": "nets", "nets": self.nets()})
             number += 1
             await trio.sleep(PULSE)
-
-    def _watch_new_heartbeats(self, ear: GatewaySession, watched: set[tuple[str, int]]) -> None:
-        for net in self.service.nets:
-            network = self.service.master.bus(net).network
-            for node_id in network.heard_nodes():
-                if (net, node_id) not in watched and network.heard(node_id).state_time is not None:
-                    watched.add((net, node_id))
-                    ear.watch_heartbeat(net, node_id, HEARTBEAT_TIME)
 
     def _tell(self, message: Plain) -> None:
         text = json_text(message)
@@ -150,21 +131,25 @@ class LiveHub:
 class LiveClient:
     """One client of the live channel. dropped: messages that found no room."""
 
-    def __init__(self, hub: LiveHub, session: GatewaySession, websocket: WebSocket) -> None:
+    def __init__(self, hub: LiveHub, client: WebClient, websocket: WebSocket) -> None:
         self.dropped = 0
         self._hub = hub
-        self._session = session
+        self._subject = hub.subject
+        self._client = client
         self._websocket = websocket
         self._put, self._get = trio.open_memory_channel[str](WAITING)
+        self._waits: deque[str] = deque()  # what a dialogue has said
         self._watch_scope = trio.CancelScope()
         self._watch_turn = trio.Lock()
+        self._monitor_scope = trio.CancelScope()
+        self._talk: ClientConversation | None = None
 
     async def run(self) -> None:
         """Serve it until it leaves, or is cut off."""
         await self._websocket.accept()
-        service = self._hub.service
-        hello = {"k": "hello", "you": self._session.name, "nets": self._hub.nets(), **self._hub.state()}
-        self.put(json_text({**hello, "events": list(self._hub.events), "least_period": service.limits.least_period}))
+        subject = self._subject
+        hello = {"k": "hello", "you": self._client.name, "nets": self._hub.nets(), "absent": subject.absent, **subject.state()}
+        self.put(json_text({**hello, "events": list(self._hub.events), "least_period": subject.limits.least_period}))
         end = self._hub.listen(self.put)
         try:
             async with trio.open_nursery() as nursery:
@@ -181,11 +166,25 @@ class LiveClient:
         except trio.WouldBlock:
             self.dropped += 1
 
+    def _tell(self, said: dict[str, Any]) -> None:
+        """Send what a dialogue says, in its order and before all else. A question that still waits is not asked twice."""
+        text = json_text({"k": "commission", **said})
+        if said["what"] == "ask" and text in self._waits:
+            return
+        if len(self._waits) >= MOST_SAID:
+            self.dropped += 1
+            return
+        self._waits.append(text)
+        with suppress(trio.WouldBlock):  # full: the one who sends is awake
+            self._put.send_nowait(_LOOK)
+
     async def _send(self, nursery: trio.Nursery) -> None:
         told = 0
         while True:
-            text = await self._get.receive()
-            with trio.move_on_after(self._hub.service.limits.send_seconds) as limit:
+            text = self._waits.popleft() if self._waits else await self._get.receive()
+            if not text:
+                continue
+            with trio.move_on_after(self._subject.limits.send_seconds) as limit:
                 try:
                     await self._websocket.send_text(text)
                     if self.dropped > told:
@@ -194,15 +193,18 @@ class LiveClient:
                 except (WebSocketDisconnect, RuntimeError, OSError):  # it is gone: Starlette says so in each of these ways
                     nursery.cancel_scope.cancel()
             if limit.cancelled_caught:
-                LOGGER.info("%s is cut off: it took nothing for %g s", self._session.name, self._hub.service.limits.send_seconds)
+                LOGGER.info("%s is cut off: it took nothing for %g s", self._client.name, self._subject.limits.send_seconds)
                 nursery.cancel_scope.cancel()
 
     async def _receive(self, nursery: trio.Nursery) -> None:
         while True:
             try:
                 text = await self._websocket.receive_text()
-            except (WebSocketDisconnect, KeyError):  # KeyError: a message of bytes, which no client of ours sends
+            except WebSocketDisconnect:
                 return
+            except KeyError:  # a message of bytes
+                self.put(json_text({"k": "error", "about": "", "code": "", "text": "messages here are JSON as text, not bytes"}))
+                continue
             kind = ""
             try:
                 message = json.loads(text[:MAX_MESSAGE])
@@ -214,7 +216,6 @@ class LiveClient:
                 self.put(json_text({"k": "error", "about": kind, **error_data(error)}))
 
     def _take(self, message: dict[str, Any], nursery: trio.Nursery) -> None:
-        lease, session = self._hub.service.lease, self._session
         match message["k"]:
             case "halt":
                 nursery.start_soon(self._halt, message)
@@ -224,6 +225,24 @@ class LiveClient:
                 self._watch_scope = trio.CancelScope()
                 period = _number(message.get("period", 0.1))
                 nursery.start_soon(self._watch, self._watch_scope, objects, period)
+            case "monitor":
+                self._monitor_scope.cancel()
+                if message.get("on", True):
+                    self._subject.machine("a monitor of frames")
+                    net = self._subject.find_net(str(message.get("net", 1)))
+                    wish = FrameWish.of(_list(message, "nodes", int), _list(message, "services", str))
+                    self._monitor_scope = trio.CancelScope()
+                    nursery.start_soon(self._monitor, self._monitor_scope, net, wish)
+            case kind:
+                self._move(kind, message)
+
+    def _move(self, kind: str, message: dict[str, Any]) -> None:
+        """Do what is said about the hand on the machine."""
+        if kind not in MOVES:
+            raise ValueError(f"there is no message of the kind {kind[:20]!r}")
+        session, service = self._client.machine_session("moving a machine"), self._subject.machine("moving a machine")
+        lease = service.lease
+        match kind:
             case "take":
                 lease.take(session)
             case "leave":
@@ -239,18 +258,46 @@ class LiveClient:
             case "jog":
                 velocities = [_number(each) for each in message.get("velocities", ())]
                 lease.jog(session, _sequence(message), str(message.get("chain")), velocities)
+            case "commission":
+                net = self._subject.find_net(str(message.get("net", 1)))
+                node = service.node(net, find_node(message.get("node")))
+                check_commissioning(service, node)
+                talk = ClientConversation(self._tell)
+                name = str(message.get("name", ""))[:MOST_NAME]
+                lease.commission(session, _sequence(message), node, partial(commission, service, node, talk, name))
+                self._talk = talk
+            case "answer":
+                lease.renew(session, _sequence(message))
+                if self._talk is not None and isinstance(message.get("question"), int):
+                    self._talk.answer(message["question"], message.get("value"))
             case "move":
                 targets = [_number(each) for each in message.get("targets", ())]
                 lease.move(
                     session, _sequence(message), str(message.get("chain")), targets, speed=_number(message.get("speed", 0.1))
                 )
-            case other:
-                raise ValueError(f"there is no message of the kind {other[:20]!r}")
+
+    async def _monitor(self, scope: trio.CancelScope, net: str, wish: FrameWish) -> None:
+        """Send the frames of a net until something else is looked at. Those that this client has no room for are counted."""
+        traffic = self._subject.machine("a monitor of frames").traffic(net)
+        with scope, traffic.watch(wish) as feed:
+            told = (-1, 0)
+            while True:
+                rows = feed.take()
+                if rows or (feed.seen, feed.left_out) != told:
+                    told = feed.seen, feed.left_out
+                    counts = {"seen": feed.seen, "fitting": feed.fitting, "left_out": feed.left_out}
+                    lost = traffic.lost + traffic.dropped
+                    self.put(json_text({"k": "frames", "net": net, "rows": rows, **counts, "lost": lost}))
+                if traffic.failure is not None:
+                    text = "what passes is not understood any more: the gateway's log says why"
+                    self.put(json_text({"k": "error", "about": "monitor", "code": "", "text": text, "details": []}))
+                    return
+                await trio.sleep(PULSE)
 
     async def _halt(self, message: dict[str, Any]) -> None:
         try:
-            net = None if message.get("net") is None else find_net(self._hub.service, str(message["net"]))
-            problems = await self._hub.service.halt(net, find_node(message.get("node", 0), least=0))
+            net = None if message.get("net") is None else self._subject.find_net(str(message["net"]))
+            problems = await self._subject.halt(net, find_node(message.get("node", 0), least=0))
         except (GatewayError, *EXPECTED, TypeError) as error:
             self.put(json_text({"k": "error", "about": "halt", **error_data(error)}))
             return
@@ -259,51 +306,33 @@ class LiveClient:
     def _watched(self, place: Any) -> WatchedObject:
         if not isinstance(place, list) or len(place) != 3:
             raise ValueError("an object to watch is [net, node, object]")
-        net = find_net(self._hub.service, str(place[0]))
-        node = self._hub.service.node(net, find_node(place[1]))
-        return WatchedObject(net, node.node_id, *find_object(node.dictionary, str(place[2])))
+        return self._subject.place_of(self._subject.find_net(str(place[0])), find_node(place[1]), str(place[2]))
 
     async def _watch(self, scope: trio.CancelScope, objects: Sequence[WatchedObject], period: float) -> None:
         """Send values until something else is watched. A value that a PDO brings is sent each time that it comes."""
         if not objects:
             return
-        session = self._session
         with scope:
             await self._watch_turn.acquire()  # what was watched before has to end first
             try:
-                half = self._hub.service.limits.subscriptions // 2  # each is sampled, and asked for while no PDO brings it
-                if len(objects) > half:
-                    raise ValueError(f"a page watches {half} objects at most")
-                polled: deque[list[Any]] = deque(maxlen=4 * len(objects))
-                with session.sample_pdos(objects) as samples:
-                    came = [float("-inf")] * len(objects)
-                    async with trio.open_nursery() as nursery:
-                        nursery.start_soon(self._poll, objects, max(period, 0.1), came, polled)
-                        while True:
-                            rows: list[list[Any]] = list(polled)
-                            polled.clear()
-                            for number, at, value in samples.take():
-                                came[number] = trio.current_time()
-                                rows.append([number, round(at, 4), plain_value(value)])
-                            if rows:
-                                self.put(json_text({"k": "values", "values": rows}))
-                            await trio.sleep(FLUSH)
+                async with self._client.watch(objects, max(period, 0.1)) as take:
+                    while True:
+                        rows = take()
+                        if rows:
+                            self.put(json_text({"k": "values", "values": rows}))
+                        await trio.sleep(FLUSH)
             except* (GatewayError, *EXPECTED) as failed:
                 self.put(json_text({"k": "error", "about": "watch", **error_data(_first(failed))}))
             finally:
                 self._watch_turn.release()
 
-    async def _poll(
-        self, objects: Sequence[WatchedObject], period: float, came: Sequence[float], polled: deque[list[Any]]
-    ) -> None:
-        """Ask for the values that no PDO has brought of late."""
-        places = {place: number for number, place in enumerate(objects)}
-        async with self._session.watch_values(objects, period) as values:
-            async for seen in values:
-                number = places[seen.place]
-                if trio.current_time() - came[number] > 2 * period:
-                    now = round(self._hub.service.master.now() / SECOND, 4)
-                    polled.append([number, now, plain_value(seen.value), seen.problem])
+
+def _list(message: dict[str, Any], name: str, kind: type[T]) -> list[T]:
+    """Return a list of a message; nothing if it is not there."""
+    found = message.get(name, [])
+    if not isinstance(found, list) or not all(isinstance(each, kind) and not isinstance(each, bool) for each in found):
+        raise ValueError(f"{name} has to be a list: {'numbers' if kind is int else 'texts'}")
+    return found
 
 
 def _sequence(message: dict[str, Any]) -> int:

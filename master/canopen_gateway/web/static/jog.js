@@ -1,7 +1,7 @@
 // The hand on the machine. A joint moves while its button, or its key, is held: one message each 100 ms, each good for 0.3 s by the
 // clock of the gateway. Whatever lets go, the messages end.
 
-import { $, badge, make, say, show, unitSign } from "./dom.js";
+import { $, badge, counted, make, say, show, unitSign } from "./dom.js";
 
 const RENEW = 100; // ms between two messages
 
@@ -15,6 +15,7 @@ export class JogPanel {
     this.sequence = 0;
     this.held = null; // { chain, joint, way }
     this.timer = null;
+    this.over = () => {}; // called with the reason when the lease has ended by itself
     this.rows = new Map();
     this.shape = "";
     for (const event of ["blur", "pagehide"]) addEventListener(event, () => this.release());
@@ -32,7 +33,7 @@ export class JogPanel {
     show($("jog-section"), pulse.chains.length > 0);
     for (const chain of pulse.chains) {
       const row = this.rows.get(chain.name);
-      row.state.replaceChildren(badge(chain.state), chain.missed ? ` ${chain.missed} cycles missed` : "");
+      row.state.replaceChildren(badge(chain.state), chain.missed ? ` ${counted(chain.missed, "cycle")} missed` : "");
       const mine = this.isMine();
       row.power.disabled = !this.mayMove || pulse.lease.doing === "enable" || (pulse.lease.owner !== null && !mine);
       say(row.power, mine ? "Let go of the machine" : "Take the machine, and give power");
@@ -45,7 +46,7 @@ export class JogPanel {
         for (const button of buttons) button.disabled = !ready;
       });
     }
-    if (this.wasMine && !this.isMine()) this.lost(); // it is over: by its time, or by somebody's halt
+    if (this.wasMine && !this.isMine()) { this.lost(); this.over(pulse.lease.problem); } // it is over: by its time, or by somebody's halt
     this.wasMine = this.isMine();
   }
 
@@ -106,12 +107,17 @@ export class JogPanel {
     return this.sequence;
   }
 
-  /** Take the lease, give the joints power, and show from now on that somebody is here. */
+  /** Take the lease, and give the joints power. */
   take(chain) {
+    this.holdMachine();
+    this.live.send("enable", { n: this.next(), chain });
+  }
+
+  /** Take the lease, and show from now on that somebody is here. */
+  holdMachine() {
     this.sequence = 0;
     this.notice("");
     this.live.send("take");
-    this.live.send("enable", { n: this.next(), chain });
     this.begin();
   }
 

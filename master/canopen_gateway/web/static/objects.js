@@ -1,6 +1,6 @@
 // The object browser: search, read, write, watch. The list of a node is loaded once, and filtered here.
 
-import { $, breakable, make, say } from "./dom.js";
+import { $, breakable, isOfFleet, make, nodeText, say } from "./dom.js";
 import { ask } from "./link.js";
 
 const SHOWN = 60; // rows at a time
@@ -9,7 +9,8 @@ export class ObjectBrowser {
   constructor(notice, watch) {
     this.notice = notice;
     this.watch = watch; // called with { net, node, path, name }
-    this.mayWrite = false;
+    this.allow = [];
+    this.nets = [];
     this.place = null; // [net, node]
     this.objects = [];
     this.known = "";
@@ -18,15 +19,22 @@ export class ObjectBrowser {
     $("object-node").addEventListener("change", () => this.choose(...$("object-node").value.split("/").map(Number)));
   }
 
-  /** The nodes that there are, for the choice. */
-  offer(nets) {
+  /** Whether anything may be written to the node that is chosen: over a fleet its bridge has to allow it, too. */
+  get mayWrite() { return (this.nets.find((net) => net.net === this.place?.[0])?.allow ?? this.allow).length > 0; }
+
+  /** The nodes that there are, for the choice; and what is allowed. */
+  offer(nets, allow) {
+    const mayWrite = this.mayWrite;
+    this.nets = nets;
+    this.allow = allow;
+    if (mayWrite !== this.mayWrite && this.objects.length) this.draw();
     const places = nets.flatMap((net) => net.nodes.map((node) => [net.net, node.node, node.name]));
     const known = JSON.stringify(places);
     if (known === this.known) return;
     this.known = known;
-    const several = nets.length > 1;
+    const text = (net, node) => (isOfFleet(nets[0]) ? nodeText(nets, net, node) : `${nets.length > 1 ? `net ${net}, ` : ""}${node}`);
     $("object-node").replaceChildren(...places.map(([net, node, name]) =>
-      make("option", { value: `${net}/${node}` }, `${several ? `net ${net}, ` : ""}${node}${name ? ` ${name}` : ""}`)));
+      make("option", { value: `${net}/${node}` }, `${text(net, node)}${name ? ` ${name}` : ""}`)));
     if (this.place === null && places.length) this.choose(places[0][0], places[0][1]);
     else if (this.place !== null) $("object-node").value = this.place.join("/");
   }
@@ -40,7 +48,10 @@ export class ObjectBrowser {
       this.objects = await ask("GET", `/${net}/${node}/objects`, undefined, this.loading.signal);
       this.draw();
     } catch (error) {
-      if (error.name !== "AbortError") this.notice(error);
+      if (error.name === "AbortError") return;
+      this.objects = []; // those of the node before are none of this one
+      this.draw();
+      this.notice(error);
     }
   }
 

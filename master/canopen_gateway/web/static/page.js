@@ -1,11 +1,16 @@
 // The page: joins the live channel to what is shown.
 
-import { $, badge, make, number, say, show, unitSign } from "./dom.js";
+import { $, ago, badge, isOfFleet, make, nodeText, number, say, show, unitSign } from "./dom.js";
 import { ask, Live } from "./link.js";
+import { Commissioning } from "./commission.js";
 import { JogPanel } from "./jog.js";
+import { Monitor } from "./monitor.js";
+import { NetworkView } from "./network.js";
+import { NmtPanel } from "./nmt.js";
 import { ObjectBrowser } from "./objects.js";
 import { Plot } from "./plot.js";
 
+const LATE = 2.5; // s without a new value until it is marked as late
 const STALE = 500; // ms without a message until the page turns grey
 const MOST_EVENTS = 100;
 const KINDS = { emergency: "emergency", lost: "lost" };
@@ -15,6 +20,7 @@ let watched = []; // { net, node, path, name, curve, value }
 let lastHeard = 0;
 let isLost = true;
 let allow = [];
+let absent = {}; // what is not there, by a word, with the reason
 let nets = [];
 let drives = new Map(); // "net/node" -> what the drive shows, as it was read
 let chosen = null;
@@ -31,9 +37,9 @@ function notice(error) {
 const live = new Live({
   hello(message) {
     allow = message.allow;
+    showAbsent(message.absent);
     jog.you = message.you;
     jog.mayMove = allow.includes("motion");
-    browser.mayWrite = allow.length > 0;
     say($("mode"), message.mode);
     $("mode").classList.toggle("warn", allow.length > 0);
     isLost = false;
@@ -45,23 +51,28 @@ const live = new Live({
     jog.update(message);
     if (browser.objects.length) browser.draw();
     sendWatched();
+    if (monitor.isOn) monitor.send();
   },
   pulse(message) { heard(); jog.update(message); },
   nets(message) { showNets(message.nets); },
   event: showEvent,
+  commission(message) { commissioning.said(message); },
+  frames(message) { monitor.frames(message); },
   values(message) {
     samples += message.values.length;
-    for (const [place, time, value, problem] of message.values) {
+    for (const [place, time, value, problem, late] of message.values) {
       const entry = watched[place];
       if (entry === undefined) continue;
       entry.problem = problem ?? "";
       entry.value = value;
+      entry.came = performance.now() - 1000 * (late ?? 0);
       if (typeof value === "number") plot.put(entry.curve, time, value);
     }
   },
   error(message) {
     if (message.about === "renew" || message.about === "stop") return; // the lease is over: the pulse tells
-    if (["take", "enable", "jog"].includes(message.about)) jog.lost();
+    if (["take", "enable", "jog", "commission"].includes(message.about)) jog.lost();
+    if (["take", "commission"].includes(message.about)) commissioning.lost(message.text);
     notice(message);
     $("notice").title = (message.details ?? []).join("\n");
     show($("notice"), true);
@@ -73,23 +84,45 @@ const live = new Live({
   closed() {
     isLost = true;
     jog.lost();
+    commissioning.lost("The connection is lost: the drive was told to halt.");
   },
 });
 
 const jog = new JogPanel(live, notice);
+const commissioning = new Commissioning(live, jog);
+jog.over = (problem) => commissioning.lost(problem || "It was ended.");
 const browser = new ObjectBrowser(notice, watch);
+const nmt = new NmtPanel(notice);
+const network = new NetworkView(notice);
+const monitor = new Monitor(live);
 
 function heard() { lastHeard = performance.now(); }
+
+/** Say what this page does not have, and why; and hide its places. */
+function showAbsent(found) {
+  absent = found;
+  const isFleet = Object.keys(found).length > 0;
+  $("absent").replaceChildren(...Object.values(found).map((words) => make("li", {}, words)));
+  show($("absent-section"), isFleet);
+  show($("network-section"), !("network" in found));
+  show($("monitor-section"), !("monitor" in found));
+  show($("scan"), !("search" in found));
+  $("halt").title = `Stops everything that ${isFleet ? "moves, at all sites" : "this master moves"}. Key: Escape`;
+}
 
 // ---- nodes and drives ----
 
 function showNets(found) {
   nets = found;
-  browser.offer(found);
+  browser.offer(found, allow);
+  nmt.update(found, allow, "nmt-all" in absent);
+  if (!("network" in absent)) network.update(found);
+  monitor.update(found);
   drawNets();
   if (chosen === null && found.some((net) => net.nodes.length)) {
     const net = found.find((each) => each.nodes.length);
     chosen = [net.net, net.nodes[0].node];
+    if (isOfFleet(net)) readDrive(...chosen).then(() => showNets(nets));
   }
   showDrive();
   if (performance.now() - drivesRead > 4000 && !document.hidden) readDrives();
@@ -111,22 +144,32 @@ function drawNets() {
     $("nodes").replaceChildren(...nets.map(netTable));
     if (focused) document.querySelector(`[data-node="${CSS.escape(focused)}"]`)?.focus();
   }
-  document.querySelectorAll("#nodes td.age").forEach((cell, place) => say(cell, ages[place] === null ? "" : `${ages[place].toFixed(1)} s ago`));
+  document.querySelectorAll("#nodes .age").forEach((cell, place) => say(cell, ages[place] === null ? "" : ago(ages[place])));
 }
 
 function netTable(net) {
-  const title = make("h3", { class: "net" }, net.name, " ", net.state === "error-active" ? null : badge(net.state), net.outage ? ` ${net.outage}` : "");
+  const isWell = ["error-active", "there"].includes(net.state);
+  const title = make("h3", { class: "net" }, net.name, " ", isWell ? null : badge(net.state), net.age === undefined ? null : " ",
+    net.age === undefined ? null : make("span", { class: "age quiet" }), net.outage ? ` ${net.outage}` : "");
   if (!net.nodes.length) return make("div", {}, title, make("p", { class: "quiet" }, "No node was heard yet."));
   const columns = ["Node", "Name", "State", "Drive"];
   const head = make("tr", {}, ...columns.map((text) => make("th", { scope: "col" }, text)), make("th", { scope: "col", class: "number wide" }, "Heard"));
   return make("div", {}, title, make("table", {}, make("thead", {}, head), make("tbody", {}, ...net.nodes.map((node) => nodeRow(net, node)))));
 }
 
+/** What a drive has shown when it was read. Over a fleet an old state is not shown: of a node that is not chosen, or is lost, no
+ * more than its name. */
+function readOf(net, node) {
+  const read = drives.get(`${net?.net}/${node?.node}`);
+  const isOld = isOfFleet(net) && (node.state === "lost" || chosen?.join("/") !== `${net.net}/${node.node}`);
+  return isOld && read ? { name: read.name } : read;
+}
+
 function nodeRow(net, node) {
   const key = `${net.net}/${node.node}`;
-  const read = drives.get(key);
+  const read = readOf(net, node);
   const state = node.drives.length && node.drives[0].state !== "unknown" ? node.drives[0].state : read?.state;
-  const open = make("button", { "aria-label": `Show node ${node.node}`, "aria-pressed": String(chosen?.join("/") === key), "data-node": key }, node.node);
+  const open = make("button", { "aria-label": `Show ${nodeText(isOfFleet(net) ? [net] : [], net.net, node.node)}`, "aria-pressed": String(chosen?.join("/") === key), "data-node": key }, node.node);
   open.addEventListener("click", () => choose(net.net, node.node));
   const emergency = node.emergency === null ? null : badge("emergency");
   if (emergency) emergency.title = `${node.emergency.code} ${node.emergency.text}`;
@@ -139,14 +182,17 @@ function choose(net, node) {
   chosen = [net, node];
   showNets(nets);
   browser.choose(net, node);
+  nmt.choose(net, node);
   readDrive(net, node).then(() => showNets(nets));
 }
 
-/** Read the state of each drive, one after the other; of a node that is none it is not asked again. */
+/** Read the state of each drive, one after the other; of a node that is none it is not asked again. Over a fleet only the node that
+ * is chosen is asked: each question goes over the network, and takes a turn of a bus. */
 async function readDrives() {
   drivesRead = performance.now();
   for (const net of nets) {
     for (const node of net.nodes) {
+      if (isOfFleet(net) && (node.state === "lost" || chosen?.join("/") !== `${net.net}/${node.node}`)) continue;
       const isTold = node.drives.some((drive) => drive.state !== "unknown"); // by its PDOs: nothing needs to be read
       if (!isTold && node.age !== null && node.age < 5) await readDrive(net.net, node.node);
     }
@@ -171,16 +217,18 @@ let drawnDrive = "";
 
 function showDrive() {
   const [net, node] = chosen ?? [];
-  const found = nets.find((each) => each.net === net)?.nodes.find((each) => each.node === node);
-  const read = drives.get(`${net}/${node}`);
+  const itsNet = nets.find((each) => each.net === net);
+  const found = itsNet?.nodes.find((each) => each.node === node);
+  const read = readOf(itsNet, found);
   const known = found?.drives.filter((each) => each.state !== "unknown") ?? [];
   const shown = known.length ? known : read?.state ? [read] : [];
-  show($("drive-section"), shown.length > 0);
+  show($("drive-section"), shown.length > 0 || commissioning.isOn);
+  commissioning.offer(shown.length && !("motion" in absent) ? [net, node] : null, allow.includes("motion"));
   if (!shown.length) return;
   const drawn = JSON.stringify([net, node, shown]);
   if (drawn === drawnDrive) return;
   drawnDrive = drawn;
-  say($("drive-title"), `Drive: node ${node}${known.length ? ` ${known[0].name}` : ""}`);
+  say($("drive-title"), `Drive: ${isOfFleet(itsNet) ? nodeText(nets, net, node) : `node ${node}`}${known.length ? ` ${known[0].name}` : ""}`);
   $("drive").replaceChildren(...shown.map(driveView));
 }
 
@@ -206,7 +254,7 @@ function driveView(drive) {
 function showEvent(event) {
   const time = new Date(event.time * 1000);
   const kind = KINDS[event.kind] ?? event.kind;
-  const where = nets.length > 1 ? `net ${event.net}, node ${event.node}` : `node ${event.node}`;
+  const where = event.place ?? nodeText(nets, event.net, event.node);
   const code = event.kind === "emergency" ? `${event.code} ` : "";
   const cleared = event.kind === "emergency" && event.code.startsWith("0x00");
   const mark = badge(cleared ? "cleared" : kind);
@@ -222,10 +270,10 @@ function watch(place) {
   if (watched.some((each) => each.net === place.net && each.node === place.node && each.path === place.path)) return;
   const curve = plot.add(place.name);
   if (curve === null) {
-    notice("Six values are watched already: remove one of them.");
+    notice("Twelve values are watched already: remove one of them.");
     return;
   }
-  watched.push({ ...place, curve, value: null, problem: "" });
+  watched.push({ ...place, curve, value: null, problem: "", came: performance.now() });
   sendWatched();
 }
 
@@ -243,7 +291,7 @@ function sendWatched() {
 }
 
 function legendEntry(entry) {
-  const label = `${entry.name} of node ${entry.node}`;
+  const label = `${entry.name} of ${isOfFleet(nets.find((each) => each.net === entry.net)) ? nodeText(nets, entry.net, entry.node) : `node ${entry.node}`}`;
   entry.shown = make("span", { class: "value" });
   const toggle = make("button", { "aria-pressed": String(entry.curve.visible), "aria-label": `Show the curve of ${label}` }, "Show");
   toggle.addEventListener("click", () => {
@@ -297,10 +345,13 @@ setInterval(() => {
   for (const entry of watched) {
     const text = entry.problem ? "cannot be read" : (typeof entry.value === "number" ? number(entry.value) : entry.value ?? "");
     if (!entry.shown) continue;
-    say(entry.shown, String(text));
+    const seconds = (performance.now() - entry.came) / 1000;
+    const isLate = !entry.problem && seconds > LATE;
+    say(entry.shown, `${text}${isLate ? ` late, ${ago(seconds)}` : ""}`);
+    entry.shown.classList.toggle("warned", isLate);
     entry.shown.title = entry.problem;
   }
 }, 200);
 
 // What a test of the page looks at
-window.canopenPage = { get samples() { return samples; }, get frames() { return plot.frames; }, get watched() { return watched.length; } };
+window.canopenPage = { watch, get samples() { return samples; }, get frames() { return plot.frames; }, get watched() { return watched.length; } };

@@ -1,13 +1,17 @@
-// Curves of the last ten seconds on a canvas. Each curve keeps its samples in two rings; a frame is drawn only if something changed.
+// Curves of the last ten seconds on a canvas. Each curve keeps its samples in two rings. While samples come, each animation frame is
+// drawn, so that the curves run smoothly; else only what has changed.
 
 const SECONDS = 10;
+const STILL = 500; // ms without a sample until the curves stand
+const DRIFT = 2e-4; // of the clock of the samples against that of the browser, at most
 const CAPACITY = 2048; // samples of a curve: ten seconds at 200 Hz
-const CURVES = 6;
+const COLOURS = 6;
+const CURVES = 2 * COLOURS; // those of the second half are dashed
 
 export class Curve {
   constructor(label, slot) {
     this.label = label;
-    this.slot = slot; // its colour, 1 to 6
+    this.slot = slot; // its colour, and whether it is dashed: 1 to 12
     this.visible = true;
     this.times = new Float64Array(CAPACITY);
     this.values = new Float64Array(CAPACITY);
@@ -16,6 +20,7 @@ export class Curve {
   }
 
   put(time, value) {
+    if (this.count && time < this.times[(this.count - 1) % CAPACITY] - 1) this.count = 0; // the door was started anew
     this.times[this.count % CAPACITY] = time;
     this.values[this.count % CAPACITY] = value;
     this.count += 1;
@@ -36,13 +41,15 @@ export class Plot {
     this.canvas = canvas;
     this.curves = [];
     this.paused = false;
-    this.end = 0; // the newest time
+    this.zero = 0; // s from the browser's clock to that of the samples: by those that came soonest
+    this.came = -Infinity; // when the newest sample came
     this.changed = true;
     this.frames = 0;
     new ResizeObserver(() => { this.changed = true; }).observe(canvas.parentElement);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.changed = true; });
     const frame = () => {
-      if (this.changed && !this.paused) this.draw();
+      const runs = this.curves.length > 0 && performance.now() - this.came < STILL;
+      if ((this.changed || runs) && !this.paused) this.draw();
       requestAnimationFrame(frame);
     };
     requestAnimationFrame(frame);
@@ -69,7 +76,11 @@ export class Plot {
 
   put(curve, time, value) {
     curve.put(time, value);
-    if (time > this.end) this.end = time;
+    const now = performance.now();
+    const zero = time - now / 1000;
+    this.zero -= ((now - Math.max(this.came, 0)) / 1000) * DRIFT;
+    if (zero > this.zero || zero < this.zero - 1) this.zero = zero;
+    this.came = now;
     this.changed = true;
   }
 
@@ -86,7 +97,8 @@ export class Plot {
     const style = getComputedStyle(document.documentElement);
     context.setTransform(scale, 0, 0, scale, 0, 0);
     context.clearRect(0, 0, width, height);
-    const from = this.end - SECONDS;
+    const end = Math.min(performance.now(), this.came + STILL) / 1000 + this.zero;
+    const from = end - SECONDS;
     let low = Infinity;
     let high = -Infinity;
     const shown = this.curves.filter((curve) => curve.visible);
@@ -118,12 +130,13 @@ export class Plot {
     context.textAlign = "center";
     context.textBaseline = "top";
     for (let back = SECONDS; back >= 0; back -= 2) {
-      context.fillText(back ? `−${back} s` : "now", Math.min(x(this.end - back), box.right - 12), box.bottom + 6);
+      context.fillText(back ? `−${back} s` : "now", Math.min(x(end - back), box.right - 12), box.bottom + 6);
     }
     context.lineWidth = 1.6;
     context.lineJoin = "round";
     for (const curve of shown) {
-      context.strokeStyle = style.getPropertyValue(`--curve-${curve.slot}`);
+      context.strokeStyle = style.getPropertyValue(`--curve-${((curve.slot - 1) % COLOURS) + 1}`);
+      context.setLineDash(curve.slot > COLOURS ? [6, 3] : []);
       context.beginPath();
       let begun = false;
       curve.each(from, (time, value) => {
@@ -133,6 +146,7 @@ export class Plot {
       });
       context.stroke();
     }
+    context.setLineDash([]);
   }
 }
 
