@@ -47,6 +47,7 @@ COMMANDS: Final = {
     "listen": ("live.listen", "Hear who is on a bus, and with --bitrates find its bit rate."),
     "monitor": ("live.monitor", "Show what each frame on a bus means, until Ctrl-C."),
     "top": ("live.top", "Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong."),
+    "tui": ("tui.tui", "A view that stays open: nodes, objects, emergencies, live values, traffic, drives."),
     "watch": ("live.watch", "Show the values of a node's objects, live."),
     "net": ("net.group", "The network of a machine file: check it, boot it, watch it (CiA 302-2)."),
     "drive": ("drive.group", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
@@ -94,7 +95,7 @@ COMMANDS: Final = {
 @click.group(cls=LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="canopen-proto", prog_name="canopen")
 @common
-def cli() -> None:
+def cli(settings: Settings) -> None:
     """CANopen from the command line. Without hardware, begin with `canopen demo`; every command takes `-b demo`.
 
     Exit status: 0 ok, 1 findings or differences, 2 usage, 3 cannot open the bus, 4 bus fault, 5 no answer, 6 bad input file,

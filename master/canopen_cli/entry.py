@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from canopen_cli.shared.importing import LibraryMissingError, importing
+from canopen_cli.shared.importing import LibraryMissingError, collector_at_rest, importing
 
 CANNOT_OPEN = 3
 
@@ -13,9 +13,10 @@ CANNOT_OPEN = 3
 def main() -> int:
     """Run the command line and return its exit status: 3, after two lines of advice, if a library is missing."""
     try:
-        with importing():
-            from canopen_cli.app import main as run
-        return run()
+        with collector_at_rest():
+            with importing():
+                from canopen_cli.app import main as run
+            return run()
     except LibraryMissingError as missing:
         print(_document(missing) if "--json" in sys.argv else f"canopen: {missing}", file=sys.stderr)
         return CANNOT_OPEN

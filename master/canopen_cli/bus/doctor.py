@@ -5,72 +5,107 @@ Without -b nothing is opened. With -b the bus is opened, listen-only if the adap
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from typing import Any, Final
 
 import click
 import trio
 
-from canopen_cli.shared.options import DEMO, Duration, Settings, common
+from canopen_cli.shared.chosen_machine import BUS_VARIABLE, MACHINE_VARIABLE
+from canopen_cli.shared.configuration import configuration_path
+from canopen_cli.shared.options import DEMO, Settings, common, lasting, option_group
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import Screen, escape
+from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.time_left import time_left
 from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES, simulated_drives
-from canopen_proto.machine import SECOND, Time
 from canopen_transports.doctor import DoctorFinding, Health, examine
 from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.realtime_checks import check_realtime
-from canopen_transports.receive_test import NO_WIRE, Each, Heard, find_bitrate, listen
+from canopen_transports.receive_test import BITRATES, NO_WIRE, Each, Heard, find_bitrate, listen
 
-LISTEN: Final = 2 * SECOND
-"""Longer than the usual heartbeat time of 1 s."""
+LISTEN: Final = 2.0
+"""Seconds: longer than the usual heartbeat time of 1 s."""
 SHOWN_IDS: Final = 12
 """CAN-IDs shown in one line."""
 
 _STYLES: Final = {Health.OK: "green", Health.NOTE: "dim", Health.WARNING: "bold yellow"}
 
 
+LISTENING: Final = "How long to listen on the bus; with --bitrates, at each of them.  [default: 2s]"
+bitrates_too: Final = option_group(
+    click.option("--bitrates", is_flag=True, help="Find the bit rate: listen at each in turn. For adapters that listen only.")
+)
+"""The option of both commands that listen at each bit rate. The command takes `bitrates`."""
+
+
 @click.command()
-@click.option("--listen", "duration", type=Duration(), default=LISTEN, help="How long to listen on the bus of -b.  [default: 2s]")
-@click.option("--bitrates", is_flag=True, help="Find the bit rate: listen at each in turn. Only with adapters that listen only.")
+@bitrates_too
+@lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
 @common
-@click.pass_obj
-def doctor(settings: Settings, duration: Time, bitrates: bool) -> int:
+def doctor(settings: Settings, seconds: float, bitrates: bool) -> int:
     """Check adapters, drivers and permissions; with -b also what is heard on a bus. Nothing is sent.
 
     The lines about real time say what keeps this computer from an exact cycle: docs/realtime.md.
 
-    Exit status: 0 all is well, 1 something needs doing (or nothing was heard), 3 or 9 the bus cannot be opened, 4 bus fault.
+    Exit status: 0 all is well, 1 something needs doing, 3 or 9 the bus cannot be opened, 4 bus
+    fault, 5 nothing was heard.
+
+    \b
+    canopen doctor
+    canopen doctor -b socketcan:can0
     """
     screen = settings.screen()
     bus = settings.named_bus()
     if bus is None:
         if bitrates:
             raise usage("CO121", "no bus was named", tries=("canopen doctor --bitrates -b pcan:PCAN_USBBUS1",))
-        return _examine_computer(screen)
+        return _examine_computer(settings, screen)
     if bitrates:
-        found = run(settings, screen, lambda: try_bitrates(screen, bus, duration / SECOND))
+        found = run(settings, screen, lambda: try_bitrates(screen, bus, seconds))
         if screen.json_output:
             screen.json(heard_as_json(found) if found is not None else None)
         elif found is not None:
             screen.fact("bus", found.locator)
-            screen.fact("heard", f"{found.frames} frames, no errors")
+            screen.fact("heard", f"{counted(found.frames, 'frame')}, no errors")
         return ExitCode.OK if found is not None else ExitCode.DIFFERENT
-    heard = run(settings, screen, lambda: hear(bus, duration / SECOND))
+    heard = run(settings, screen, lambda: hear(screen, bus, seconds))
     if screen.json_output:
         screen.json(heard_as_json(heard))
     else:
-        show_heard(screen, heard, duration / SECOND)
+        for each in _named(settings):
+            screen.detail(f"{each.subject}: {each.seen}")
+        show_heard(screen, heard, seconds)
     return status_of(heard)
 
 
-def _examine_computer(screen: Screen) -> int:
-    findings = [*examine(), *check_realtime()]
+def _named(settings: Settings) -> list[DoctorFinding]:
+    """Return which bus and which machine commands take, and who says so: the first of three counts."""
+    written = settings.chosen.configuration
+    path = written.path or configuration_path()
+    said = {
+        "bus": (settings.bus, os.environ.get(BUS_VARIABLE), written.bus),
+        "machine": (settings.machine, os.environ.get(MACHINE_VARIABLE), written.machine),
+    }
+    found = []
+    for what, option, variable in (("bus", "-b", BUS_VARIABLE), ("machine", "-m", MACHINE_VARIABLE)):
+        places = list(zip((option, f"${variable}", str(path)), said[what], strict=True))
+        chosen = next((f"{value}, by {place}" for place, value in places if value), "none")
+        rest = "; ".join(f"{place}: {value or 'nothing'}" for place, value in places)
+        found.append(DoctorFinding(f"{what} of commands", Health.NOTE, f"{chosen}. The first of these counts: {rest}"))
+    return found
+
+
+def _examine_computer(settings: Settings, screen: Screen) -> int:
+    findings, named = [*examine(), *check_realtime()], _named(settings)
     if screen.json_output:
-        screen.json([_finding_as_json(each) for each in findings])
+        screen.json([_finding_as_json(each) for each in (*findings, *named)])
     else:
         for each in findings:
             _show_finding(screen, each)
+        for each in named:
+            screen.detail(f"{each.subject}: {each.seen}")
         buses = [each.locator for each in findings if each.locator and each.health is Health.OK]
         if buses:
             screen.say(f"what is heard there: canopen doctor -b {escape(buses[0])}")
@@ -102,19 +137,22 @@ def status_of(heard: Heard) -> ExitCode:
     return ExitCode.OK if heard.frames else ExitCode.NO_ANSWER
 
 
-async def hear(bus: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:
+async def hear(screen: Screen, bus: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:
     """Listen on a bus, or on that of the simulated drives. See `listen` of canopen_transports.receive_test. seconds: how long."""
-    if bus != DEMO:
-        return await listen(bus, seconds, each)
-    async with simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES):
-        return replace(await listen(DEMO_LOCATOR, seconds, each), locator=DEMO)
+    async with time_left(screen, f"listening on {bus}", seconds):
+        if bus != DEMO:
+            return await listen(bus, seconds, each)
+        async with simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES):
+            return replace(await listen(DEMO_LOCATOR, seconds, each), locator=DEMO)
 
 
 def show_heard(screen: Screen, heard: Heard, seconds: float) -> None:
     """Show the counts of what was heard, and what to do next. seconds: how long it was listened for."""
     how = "opened to listen only" if heard.listen_only else "opened"
     screen.fact("bus", f"{heard.locator}, {how}")
-    screen.fact("heard", f"{heard.frames} frames in {seconds:g} s" + (f", {heard.lost} more lost" if heard.lost else ""))
+    screen.fact(
+        "heard", f"{counted(heard.frames, 'frame')} in {seconds:g} s" + (f", {heard.lost} more lost" if heard.lost else "")
+    )
     if heard.nodes:
         screen.fact("nodes", ", ".join(f"{node} (0x{node:02X})" for node in heard.nodes))
     if heard.ids:
@@ -141,7 +179,10 @@ def _advice(heard: Heard) -> list[str]:
     if heard.frames:
         return [f"canopen scan -b {heard.locator}"]
     if locator.interface in NO_WIRE:
-        return [f"somebody else on this bus, in another terminal: canopen sim --id 5 -b {heard.locator}"]
+        return [
+            f"canopen scan -b {heard.locator}   (asks the nodes: devices without a heartbeat are silent)",
+            f"somebody else on this bus, in another terminal: canopen sim --id 5 -b {heard.locator}",
+        ]
     return [
         f"switch a drive off and on: its boot-up should be heard; if not, check {ours} and the wiring",
         f"canopen scan -b {heard.locator}   (asks the nodes: devices without a heartbeat are silent)",
@@ -169,9 +210,10 @@ async def try_bitrates(screen: Screen, bus: str, seconds: float) -> Heard | None
     seconds: for each."""
 
     def tell(heard: Heard) -> None:
-        screen.say(escape(f"{heard.locator}: {heard.frames} frames, {heard.faults} errors"))
+        screen.say(escape(f"{heard.locator}: {counted(heard.frames, 'frame')}, {counted(heard.faults, 'error')}"))
 
-    found = await find_bitrate(DEMO_LOCATOR if bus == DEMO else bus, seconds, tell)
+    async with time_left(screen, "listening at each bit rate, at most", seconds * len(BITRATES)):
+        found = await find_bitrate(DEMO_LOCATOR if bus == DEMO else bus, seconds, tell)
     await trio.lowlevel.checkpoint()
     if found is None:
         screen.say("at no bit rate were frames heard without errors: does anything send at all? Try a longer time")

@@ -7,15 +7,15 @@ from typing import Final
 import click
 import trio
 
+from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.options import NodeId, Settings, commanding, common
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
-from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import open_session
 from canopen_cli.shared.text_gateway import open_text
-from canopen_cli.shared.withholding import show_unsent
+from canopen_cli.shared.time_left import time_left
 from canopen_master.errors import SdoError
 from canopen_master.node import Node
 from canopen_master.silence import missing_frame
@@ -44,7 +44,6 @@ WAIT_TIME: Final = 5.0
 @click.option("--yes", is_flag=True, help="Do not ask: for all nodes, and for resets.")
 @commanding
 @common
-@click.pass_obj
 def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait: bool, yes: bool) -> None:
     """Start, stop or reset a node, or all of them.
 
@@ -62,10 +61,7 @@ def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait
     command = COMMANDS[word]
     screen = settings.screen()
     confirm(screen, _question(command, word, node_id), yes, needed=not settings.dry_run and (everyone or command in RESETS))
-    if settings.dry_run:
-        show_unsent(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait))
-        return
-    state = run(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait), over_text=True)
+    state = run_or_show(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait), over_text=True)
     target = "all nodes" if node_id is None else node_text(node_id)
     if settings.json:
         screen.json({"command": command.name, "node": node_id or 0, "state": state.name if state is not None else None})
@@ -111,10 +107,11 @@ async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id:
             await node.nmt(command)
             if not wait:
                 return None
-            with trio.move_on_after(WAIT_TIME):
-                async for report in reports:
-                    if getattr(report, "state", expected) is expected:
-                        return expected
+            async with time_left(screen, f"waiting for {node_text(node_id)} to show that it is done", WAIT_TIME):
+                with trio.move_on_after(WAIT_TIME):
+                    async for report in reports:
+                        if getattr(report, "state", expected) is expected:
+                            return expected
         cause, tries = "it sends no heartbeat", (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)",)
         known = missing_frame(session.network, node.remote, session.master.now(), cause, tries, pdo=False)
     failed = f"node {node_id} did not show within {WAIT_TIME:g} s that it is done"

@@ -7,18 +7,19 @@ from typing import Any, Final
 
 import click
 import trio
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from canopen_cli.shared.device_types import device_type_text
-from canopen_cli.shared.options import Duration, NodeIds, Settings, common
+from canopen_cli.shared.options import NodeIds, Settings, common, lasting
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import open_session
 from canopen_cli.shared.text_gateway import open_text
+from canopen_cli.shared.values import identity_json
 from canopen_gateway.ascii import RemoteGateway
 from canopen_gateway.errors import GatewayRefusedError
+from canopen_master.device_types import device_type_text
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, text_for_people
 from canopen_proto.frame import ALL_NODE_IDS
@@ -26,6 +27,7 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.manager.scan import LISTEN, MAX_NAME, PROBE_TIMEOUT, NodeFound, Scanner, duration_of
 from canopen_proto.manager.scan import scan as scan_procedure
 from canopen_proto.network import Network
+from canopen_transports.loop.beside import beside
 
 COLUMNS: Final = (
     "node", "in the file", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark",
@@ -37,19 +39,22 @@ DETAILS: Final = ("revision", "serial number")
 @click.command()
 @click.option("--passive", is_flag=True, help="Only listen: nothing is sent.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
-@click.option("--listen", type=Duration(0), default=LISTEN, help="How long to listen before asking.  [default: 1.5s]")
+@lasting("How long to listen before asking.  [default: 1.5s]", high=3600, default=LISTEN / SECOND)
 @common
-@click.pass_obj
-def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> int:
+def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, seconds: float) -> int:
     """Find the nodes of a bus. Exit status 5: none was found.
 
     Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time. With a machine file
     it shows the names there, and which of its nodes were not found.
+
+    \b
+    canopen scan -b demo
+    canopen scan --ids 1-32 -b socketcan:can0
     """
     screen = settings.screen()
     refuse_over_text(settings, passive=passive)
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
-    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, listen), over_text=True)
+    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, round(seconds * SECOND)), over_text=True)
     if asked and node_ids is not None:
         others = [str(node.node_id) for node in found if node.node_id not in asked]
         found = [node for node in found if node.node_id in asked]
@@ -107,11 +112,10 @@ async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ..
         session.network.attach(scanner)
         probe = {} if settings.timeout is None else {"probe_timeout": settings.timeout, "answer_timeout": settings.timeout}
         expected = duration_of(len(node_ids), listen=listen, probe_timeout=probe.get("probe_timeout", 100_000_000))
-        async with trio.open_nursery() as nursery:
+        async with beside(trio.open_nursery()) as nursery:
             with master.events(NodeFound) as reports:
                 nursery.start_soon(_show_progress, screen, expected, reports)
                 rows = await master.run(scan_procedure(scanner, node_ids, listen=listen, **probe))
-            nursery.cancel_scope.cancel()
         session.network.detach(scanner)
         return rows, _remark(session.network, rows, not node_ids)
 
@@ -152,7 +156,7 @@ async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:
     """Show a bar on a terminal, with each node when it is found. Elsewhere show nothing: the table comes at the end."""
     if not screen.draws:
         return
-    columns = (TextColumn("scanning"), BarColumn(30), TextColumn("{task.fields[nodes]}"))
+    columns = (TextColumn("scanning"), BarColumn(30), TimeRemainingColumn(), TextColumn("{task.fields[nodes]}"))
     with Progress(*columns, console=screen.err, transient=True, auto_refresh=False) as progress:
         task = progress.add_task("scan", total=expected / SECOND, nodes="listening")
         start = trio.current_time()
@@ -176,15 +180,11 @@ def _row(node: NodeFound, name: str) -> tuple[str, ...]:
 
 
 def _as_json(node: NodeFound) -> dict[str, Any]:
-    vendor, product, revision, serial = node.identity
     return {
         "node": node.node_id,
         "state": node.state.name if node.state is not None else None,
         "device_type": node.device_type,
         "name": node.name or None,
-        "vendor_id": vendor,
-        "product_code": product,
-        "revision_number": revision,
-        "serial_number": serial,
+        **identity_json(node.identity),
         "remark": node.remark or None,
     }

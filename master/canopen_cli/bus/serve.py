@@ -11,9 +11,10 @@ import trio
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.questions import confirm
-from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import escape
 from canopen_proto.frame import Frame
+from canopen_transports.loop.beside import beside
 from canopen_transports.record import Record
 from canopen_transports.tcp import BusServer, serve_bus
 from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopback, joining
@@ -33,7 +34,6 @@ def bus() -> None:
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
 @lasting()
 @common
-@click.pass_obj
 def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:
     """Be a CAN bus until Ctrl-C: all other programs hear what one sends.
 
@@ -66,7 +66,7 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
         return None if trace is None else lambda frame: trace.record(Record(trace.now(), "tcp0", frame))
 
     async def be_a_bus() -> None:
-        async with trio.open_nursery() as nursery:
+        async with first_error(), beside(trio.open_nursery()) as nursery:
             locators = await nursery.start(serve_bus, bind, port, BusServer(tell, recorder()))
             if settings.json:
                 screen.json({"bus": [joining(locator)[0] for locator in locators]})
@@ -77,12 +77,5 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
                 if elsewhere:
                     screen.say(f"from other computers: [bold]-b {elsewhere}[/]")
             await trio.sleep(math.inf if seconds is None else seconds)
-            nursery.cancel_scope.cancel()
 
-    async def serve_unwrapped() -> None:
-        try:
-            await be_a_bus()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
-
-    run_until_interrupted(settings, screen, serve_unwrapped)
+    run_until_interrupted(settings, screen, be_a_bus)

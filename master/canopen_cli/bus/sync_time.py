@@ -7,12 +7,14 @@ from typing import Final
 
 import click
 
+from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.options import Duration, Settings, commanding, common
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
+from canopen_cli.shared.time_left import time_left
 from canopen_cli.shared.withholding import show_unsent
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.procedures.steps import act
@@ -29,7 +31,6 @@ SHOWN: Final = 3
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
 @common
-@click.pass_obj
 def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) -> None:
     """Send SYNC: all nodes take and send their synchronous PDOs. A DRIVE THAT WAITS FOR SET-POINTS ACTS ON THEM.
 
@@ -67,10 +68,12 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
         with master.events(SyncSent) as syncs:
             master.sync_start(period / SECOND)  # which keeps its phase
             sent = 0
-            async for _ in syncs:
-                sent += 1
-                if sent == count:
-                    break
+            wait = None if count is None else count * period / SECOND
+            async with time_left(screen, f"one SYNC each {period / MILLISECOND:g} ms", wait):
+                async for _ in syncs:
+                    sent += 1
+                    if sent == count:
+                        break
             master.sync_stop()
             return sent
 
@@ -78,7 +81,6 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
 @click.command("time")
 @commanding
 @common
-@click.pass_obj
 def time(settings: Settings) -> None:
     """Send this computer's time of day to all nodes (TIME, 0x100), once, in UTC.
 
@@ -86,10 +88,7 @@ def time(settings: Settings) -> None:
     canopen time -b demo
     """
     screen = settings.screen()
-    if settings.dry_run:
-        show_unsent(settings, screen, lambda: _time(settings, screen))
-        return
-    sent = run(settings, screen, lambda: _time(settings, screen))
+    sent = run_or_show(settings, screen, lambda: _time(settings, screen))
     if settings.json:
         screen.json({"time": sent.isoformat()})
     else:

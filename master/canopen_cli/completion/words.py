@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Final
 import click
 from click.shell_completion import CompletionItem, ShellComplete, get_completion_class
 
-from canopen_cli.shared.chosen_machine import MACHINE_VARIABLE
-from canopen_cli.shared.options import BUS_VARIABLE, DEMO, Settings
+from canopen_cli.shared.chosen_machine import BUS_VARIABLE, MACHINE_VARIABLE
+from canopen_cli.shared.configuration import Configuration, read_configuration
+from canopen_cli.shared.options import DEMO, Settings
+from canopen_cli.shared.problem import CommandError
 
 if TYPE_CHECKING:
     from canopen_proto.dictionary import ObjectDictionary
@@ -39,8 +41,10 @@ CAN_INTERFACE: Final = "280"
 """The type of a CAN interface there (ARPHRD_CAN)."""
 DEMO_NODES: Final = range(3, 9)
 
-OF_FILES: Final = ("-e", "--eds", "-m", "--machine", "--overlay", "--trace", "-o", "--output")
-WITH_VALUE: Final = (*OF_FILES, "-b", "--bus", "--encoding", "--timeout")
+OF_FILES: Final = ("-e", "--eds", "-m", "--machine", "--overlay", "--trace", "--log", "-o", "--output")
+OF_OBJECTS: Final = ("--object", "--read", "--skip")
+"""Options that take an object, which may have its node before it."""
+WITH_VALUE: Final = (*OF_FILES, *OF_OBJECTS, "-b", "--bus", "--encoding", "--timeout")
 """Common options that take a value. Commands have others, whose values may be taken for words: then click answers."""
 NODE_FIRST: Final = (
     "info",
@@ -62,6 +66,14 @@ VERB_FIRST: Final = ("drive", "pdo", "emcy", "nmt")
 """Groups whose commands have the node behind the verb."""
 OBJECTS: Final = {"read": None, "watch": None, "write": 2}
 """Commands that take objects behind the node; and how many words `write` has before its value."""
+
+
+FILE_GROUPS: Final = ("log", "eds", "net", "machine")
+"""Groups whose commands take files behind the verb."""
+FILE_FIRST: Final = ("plan", "plot", "jog", "move", "sim", "run")
+"""Commands that take files."""
+OBJECTS_OF_FILES: Final = (("log", "plot"), ("eds", "show"))
+"""Commands that take objects behind a file."""
 
 
 def complete(cli: click.Command, instruction: str) -> int:
@@ -92,16 +104,29 @@ def known_words(words: Sequence[str], begun: str) -> Iterator[CompletionItem[str
     if words and words[-1] in ("-b", "--bus"):
         return _items(buses(words), begun)
     if words and words[-1] in OF_FILES:
-        return iter([CompletionItem(begun, type="file")])
+        return _files(begun)
+    if words and words[-1] in OF_OBJECTS:
+        node, colon, _ = begun.partition(":")
+        return _items(_objects_at(words, node) if colon else objects(words, ""), begun)
     if begun.startswith("-"):
         return None
     line = [
         word for place, word in enumerate(words) if not word.startswith("-") and (not place or words[place - 1] not in WITH_VALUE)
     ]
+    if tuple(line[:2]) in OBJECTS_OF_FILES and len(line) > 2:
+        named = ("-e", line[2]) if line[0] == "eds" else ()
+        return _items(objects((*words, *named), ""), begun)
+    if line and ((line[0] in FILE_GROUPS and len(line) > 1) or line[0] in FILE_FIRST):
+        return None if words[-1].startswith("-") else _files(begun)  # an option of the command's, which may take a value
+    if line[:1] and line[0] in OBJECTS and len(line) > 1 and ":" in line[1]:  # the object stands at its node
+        line[1:2] = line[1].split(":", 1)
     if line and line[0] in VERB_FIRST:
         return _items(nodes(words), begun) if len(line) == 2 else None
     if not line or line[0] not in NODE_FIRST:
         return None
+    node, colon, _ = begun.partition(":")
+    if line[0] in OBJECTS and len(line) == 1 and colon:
+        return _items(_objects_at(words, node), begun)
     if len(line) == 1:
         return _items(nodes(words), begun)
     if line[0] not in OBJECTS:
@@ -116,6 +141,16 @@ def _items(found: dict[str, str], begun: str) -> Iterator[CompletionItem[str]]:
     return (CompletionItem(word, help=text) for word, text in found.items() if word.lower().startswith(begun.lower()))
 
 
+def _files(begun: str) -> Iterator[CompletionItem[str]]:
+    """Let the shell complete the name of a file."""
+    return iter([CompletionItem(begun, type="file")])
+
+
+def _objects_at(words: Sequence[str], node: str) -> dict[str, str]:
+    """Return the objects of a node as words such as "5:statusword"."""
+    return {f"{node}:{name}": text for name, text in objects(words, node).items()}
+
+
 def _values(words: Sequence[str], *options: str) -> list[str]:
     return [word for place, word in enumerate(words) if place and words[place - 1] in options]
 
@@ -123,10 +158,19 @@ def _values(words: Sequence[str], *options: str) -> list[str]:
 def machine_of(words: Sequence[str]) -> dict[str, object]:
     """Return the machine file of the line, or of the environment; empty if there is none that can be read."""
     named = [*_values(words, "-m", "--machine"), os.environ.get(MACHINE_VARIABLE, "")]
+    by_file = "" if os.environ.get(BUS_VARIABLE) else _configuration().machine
     try:
-        return tomllib.loads(Path(named[0]).read_text(encoding="utf-8")) if named[0] else {}
+        path = named[0] or by_file
+        return tomllib.loads(Path(path).read_text(encoding="utf-8")) if path else {}
     except (OSError, ValueError):
         return {}  # the command will tell
+
+
+def _configuration() -> Configuration:
+    try:
+        return read_configuration()
+    except CommandError:
+        return Configuration()  # the command will tell
 
 
 def _table(machine: dict[str, object], name: str) -> dict[str, dict[str, object]]:
@@ -153,7 +197,7 @@ def nodes(words: Sequence[str]) -> dict[str, str]:
     for name, node in _table(machine, "nodes").items():
         found.setdefault(name, f"node {node.get('id', '')}")
     found |= {node: file for node, equal, file in (each.partition("=") for each in _values(words, "-e", "--eds")) if equal}
-    if DEMO in (_values(words, "-b", "--bus") or [os.environ.get(BUS_VARIABLE, "")]):
+    if DEMO in (_values(words, "-b", "--bus") or [os.environ.get(BUS_VARIABLE) or _configuration().bus or ""]):
         found |= {str(node): "simulated drive" for node in DEMO_NODES}
     return found
 

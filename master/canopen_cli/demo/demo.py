@@ -60,7 +60,6 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @enabling
 @common
-@click.pass_obj
 def demo(
     settings: Settings,
     chains: str | None,

@@ -20,6 +20,7 @@ from canopen_master.errors import CHAIN_FAULT
 from canopen_master.motion.chain import Chain
 from canopen_proto.drives.cia402.modes import mode_name
 from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_transports.loop.beside import beside
 
 REFRESH: Final = 0.08
 """Seconds between two redraws on a terminal."""
@@ -74,10 +75,9 @@ class ShownDemonstration:
     @asynccontextmanager
     async def _around(self, arm: Chain) -> AsyncIterator[None]:
         with DemoView(self.screen, self.titles()[1], range=2 * self.task.swing) as self._view:
-            async with self._record(arm), trio.open_nursery() as nursery:
+            async with self._record(arm), beside(trio.open_nursery()) as nursery:
                 nursery.start_soon(self._draw)
                 yield
-                nursery.cancel_scope.cancel()
 
     async def _draw(self) -> None:
         """Keep the picture up to date while no cycles run. Ends the demonstration if the reader of stdout has gone."""

@@ -7,7 +7,7 @@ python -m canopen_cli.demos.multiple_devices 3 4 5 6 7 8 --bus virtual
 import sys
 from collections.abc import Sequence
 
-from canopen_cli.demos.running import Options, check, parse, run
+from canopen_cli.demos.running import Options, check, make_ready, parse, run, shut_down
 from canopen_master import direct as canopen
 
 USAGE = "Please call the program with the CAN deviceIDs, e.g. './multiple_devices 3 4 5 6 7 8'"
@@ -18,13 +18,7 @@ INTERVAL = 10  # milliseconds from SYNC to SYNC
 
 def move(options: Options) -> None:
     devices = options.node_ids
-    check(canopen.open_connection(options.bus), "Cannot open CAN device; aborting.")
-    canopen.init_listener_thread()
-    for device in devices:
-        check(canopen.fault_reset(device), f"The fault of device {device} could not be reset; aborting.")
-    canopen.init_nmt()
-    for device in devices:
-        check(canopen.init_device(device), f"Device {device} could not be initialized; aborting.")
+    make_ready(options)
     for device in devices:
         print(f"homing device {device}")
         check(canopen.homing(device), f"Homing of device {device} was not successful; aborting.")
@@ -44,10 +38,7 @@ def move(options: Options) -> None:
     for device in devices:
         print(f"device {device} ends at {canopen.get_pos(device)} mdeg")
 
-    for device in devices:
-        canopen.enable_brake(device)
-        canopen.shutdown_device(device)
-    canopen.close_connection()
+    shut_down(options)
 
 
 def send(positions: dict[int, float], step: int, steps: int) -> None:

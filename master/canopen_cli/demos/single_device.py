@@ -7,7 +7,7 @@ python -m canopen_cli.demos.single_device 12 --bus virtual
 import sys
 from collections.abc import Sequence
 
-from canopen_cli.demos.running import Options, check, parse, run
+from canopen_cli.demos.running import Options, check, make_ready, parse, run, shut_down
 from canopen_master import direct as canopen
 
 USAGE = "Please call the program with the CAN deviceID, e.g. './single_device 12'"
@@ -18,11 +18,7 @@ INTERVAL = 10  # milliseconds from SYNC to SYNC
 
 def move(options: Options) -> None:
     (device,) = options.node_ids
-    check(canopen.open_connection(options.bus), "Cannot open CAN device; aborting.")
-    canopen.init_listener_thread()
-    check(canopen.fault_reset(device), f"The fault of device {device} could not be reset; aborting.")
-    canopen.init_nmt()
-    check(canopen.init_device(device), f"Device {device} could not be initialized; aborting.")
+    make_ready(options)
 
     print(f"homing device {device}")
     check(canopen.homing(device), f"Homing of device {device} was not successful; aborting.")
@@ -44,9 +40,7 @@ def move(options: Options) -> None:
         canopen.send_sync(INTERVAL)
     print(f"device {device} ends at {canopen.get_pos(device)} mdeg")
 
-    canopen.enable_brake(device)
-    canopen.shutdown_device(device)
-    canopen.close_connection()
+    shut_down(options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

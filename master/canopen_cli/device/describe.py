@@ -24,7 +24,6 @@ WRITERS = {".eds": write_eds, ".xdd": write_xdd}
 @click.argument("path", metavar="FILE.py")
 @click.option("-o", "--output", metavar="OUT", required=True, help="The new file: OUT.eds or OUT.xdd.")
 @common
-@click.pass_obj
 def describe(settings: Settings, path: str, output: str) -> None:
     """Write the EDS or XDD of a device. The Python file is run for it.
 

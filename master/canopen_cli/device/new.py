@@ -22,7 +22,6 @@ _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:[-_ ][A-Za-z0-9]+)*")
 @click.command()
 @click.argument("name")
 @common
-@click.pass_obj
 def new(settings: Settings, name: str) -> None:
     """Make a device: a Python file that passes `canopen check` as it is.
 

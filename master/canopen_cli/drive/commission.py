@@ -7,17 +7,18 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.drive.commissioning import CommissioningDialogue
+from canopen_cli.drive.commissioning import dialogue_of
 from canopen_cli.drive.session import axis_of_command, node_of_command
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import DEMO, Settings, common, enabling
-from canopen_cli.shared.problem import ExitCode, usage
-from canopen_cli.shared.questions import Questions, is_asked
+from canopen_cli.shared.options import DEMO, Settings, common, enabling, without_dry_run
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.questions import is_asked
 from canopen_cli.shared.running import all_stand, run
 from canopen_cli.shared.screen import escape
 from canopen_cli.shared.session import open_session
-from canopen_master.commissioning import commissioned_machine
+from canopen_master.commissioning import commissioned_machine, commissioned_name
+from canopen_master.commissioning_dialogue import CommissioningDialogue, renamed_text
 from canopen_master.machine_file import machine_text
 from canopen_master.simulation.serving import DEMO_LOCATOR
 
@@ -27,9 +28,12 @@ from canopen_master.simulation.serving import DEMO_LOCATOR
 @click.option("--dcf", metavar="FILE.dcf", help="The drive's values, as they were before.  [default: NAME.dcf]")
 @click.option("--name", help="The name of its joint.  [default: that of the machine file (-m), else driveNODE]")
 @click.option("--yes", is_flag=True, help="Ask nothing, and move: for simulated drives (-b demo, -b virtual:...) only.")
+@without_dry_run(
+    "each step depends on how the drive has moved in the one before",
+    "canopen drive commission 3 -b demo --yes    (all of it, with a simulated drive)",
+)
 @enabling
 @common
-@click.pass_obj
 def commission(settings: Settings, output: str | None, dcf: str | None, name: str | None, yes: bool) -> int:
     """Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move. IT MOVES.
 
@@ -57,17 +61,22 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
         failed, seen = "commissioning asks before each motion, and there is no terminal to ask on", "nothing was sent"
         raise usage("CO122", failed, seen=seen, tries=("-b demo --yes    for a simulated drive",))
     joint = settings.joint(node_id)
-    name = name or (f"drive{node_id}" if joint is None else joint.name)
+    asked = name or (f"drive{node_id}" if joint is None else joint.name)
+    name = commissioned_name(*settings.machine_on_bus(), node_id, asked)
+    if name != asked:
+        screen.say(escape(renamed_text(asked, name)))
     output, dcf = output or f"{name}.toml", dcf or f"{name}.dcf"
     for path in (output, dcf):
         check_new_file(settings, screen, path)
     done: list[str] = []
-    questions = Questions(screen, agrees=yes)
 
     async def command() -> tuple[CommissioningDialogue, str]:
         async with open_session(settings, screen) as session:
-            dialogue = CommissioningDialogue(settings, screen, questions, session, node_id, done)
-            await dialogue.run(dcf)
+            dialogue = dialogue_of(settings, screen, session, node_id, dcf, done, agrees=yes)
+            await dialogue.run()
+            if dialogue.is_given_up:
+                tries = ("-e with the drive's own file",)
+                raise CommandError(ExitCode.INTERRUPTED, "CO132", "by you: nothing was changed", tries=tries)
             description = session.description_of(node_id)
             return dialogue, "" if description is None else description.source
 

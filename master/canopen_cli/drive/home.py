@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import click
 import trio
@@ -13,7 +13,8 @@ from canopen_cli.drive.session import axis_of_command, node_of_command
 from canopen_cli.motion.view import DemoView, JointView
 from canopen_cli.shared.chosen_machine import NUMBER, ChosenMachine
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling
+from canopen_cli.shared.numbers import NumberCommand
+from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, option_group
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.rehearsal import rehearse
 from canopen_cli.shared.running import all_stand, run
@@ -28,8 +29,7 @@ from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS, homing_na
 from canopen_proto.drives.cia402.modes import describe_status
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeoutError, all_of
-
-F = TypeVar("F", bound=Callable[..., Any])
+from canopen_transports.loop.beside import beside
 
 REFRESH: Final = 0.1
 """Seconds between two updates of the picture."""
@@ -46,31 +46,27 @@ class HomingChoice(NamedTuple):
     reset_fault: bool
 
 
-def homing_options(command: F) -> F:
-    """Add the options of a command that homes."""
-    for each in (
-        common,
-        commanding,
-        enabling,
-        click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
-        click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
-        click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
-        click.option(
-            "--style",
-            type=click.Choice(list(STYLES)),
-            default="auto",
-            help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
-        ),
-    ):
-        command = each(command)
-    return command
+homing_options: Final = option_group(
+    click.option(
+        "--style",
+        type=click.Choice(list(STYLES)),
+        default="auto",
+        help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
+    ),
+    click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
+    click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
+    click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
+    enabling,
+    commanding,
+    common,
+)
+"""The options of a command that homes."""
 
 
 @click.command()
 @click.argument("names", metavar="NODE...", nargs=-1)
 @click.option("--method", type=METHOD, help="Homing method, written to 0x6098; --list has them.")
 @homing_options
-@click.pass_obj
 def home(
     settings: Settings,
     names: tuple[str, ...],
@@ -83,6 +79,10 @@ def home(
     """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them.
 
     The names of a machine file may be on several of its buses.
+
+    \b
+    canopen home 3 4 -b demo
+    canopen home --list
     """
     if lists:
         list_methods(settings, [settings.node_id(each) for each in names])
@@ -92,14 +92,17 @@ def home(
         home_nodes(_by_bus(settings, names), HomingChoice(style, method, limit, reset_fault))
 
 
-@click.command("home")
+@click.command("home", cls=NumberCommand)
 @click.argument("method", metavar="[METHOD]", required=False, type=METHOD)
 @homing_options
-@click.pass_obj
 def home_one(settings: Settings, method: int | None, style: str, limit: Time | None, reset_fault: bool, lists: bool) -> None:
     """Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own. IT MOVES. Ctrl-C halts it.
 
-    `canopen home NODE...` does the same with several at a time. A method below 0 goes after `--`.
+    `canopen home NODE...` does the same with several at a time.
+
+    \b
+    canopen drive home 3 -b demo
+    canopen drive home 3 35 -b demo        method 35: the present position becomes 0
     """
     node_ids = (node_of_command(),)
     if lists:
@@ -166,12 +169,11 @@ def home_nodes(groups: Sequence[DrivesOnBus], homing: HomingChoice) -> None:
         with DemoView(screen, f"homing {', '.join(map(node_text, chosen))}", range=180) as view:
             view.joints = [JointView(f"node {node_id}", node_id) for node_id in chosen]
             step = view.begin("home", "")
-            async with trio.open_nursery() as watching:
+            async with beside(trio.open_nursery()) as watching:
                 watching.start_soon(_watch, view, groups, found)
                 async with trio.open_nursery() as nursery:
                     for group, axes in zip(groups, found, strict=True):
                         nursery.start_soon(on_bus, group, axes)
-                watching.cancel_scope.cancel()
             view.done(step, f"{len(chosen)} of {len(chosen)} homed")
         return [axes[node_id] for group, axes in zip(groups, found, strict=True) for node_id in group.node_ids]
 
@@ -268,7 +270,7 @@ def _home(session: BusSession, axes: dict[int, Axis], node_id: int, homing: Homi
     if axis.settings.homing is HomingStyle.SCHUNK and method is not None:
         raise ProcedureError(
             f"drive {node_id} is Schunk's by its vendor-ID (0x1018:01): its joints home without a method. "
-            "Try: the same without --method, or --style standard"
+            "Try: the same without a method, or --style standard"
         )
     if reset_fault:
         yield from drive.reset_fault(axis)

@@ -32,9 +32,12 @@ _SOURCES = {"input": ProbeSource.INPUT, "index": ProbeSource.INDEX, "selected": 
 
 @click.command()
 @common
-@click.pass_obj
 def inputs(settings: Settings) -> None:
-    """Show the digital inputs of a drive (0x60FD)."""
+    """Show the digital inputs of a drive (0x60FD).
+
+    \b
+    canopen drive inputs 3 -b demo
+    """
     screen = settings.screen()
 
     word = read_drive(settings, screen, lambda node: _read_own(node, objects.DIGITAL_INPUTS, "digital inputs"))
@@ -49,12 +52,15 @@ def inputs(settings: Settings) -> None:
 @click.option("--cannot-fall", is_flag=True, help="The brake may be opened: this axis cannot fall.")
 @commanding
 @common
-@click.pass_obj
 def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> None:
     """Show the digital outputs of a drive (0x60FE); with BIT=0 or BIT=1 set some of them.
 
     A bit that is set here is also set in the mask (0x60FE:02): from then on the drive leaves this output to the master. The
     others stay as they are.
+
+    \b
+    canopen drive outputs 3 -b demo
+    canopen drive outputs 3 16=1 -b demo
     """
     screen = settings.screen()
     wanted = _changes(changes)
@@ -91,9 +97,12 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long to wait for the edge.  [default: 60s]")
 @commanding
 @common
-@click.pass_obj
 def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) -> None:
-    """Arm a touch probe (0x60B8), wait for its edge, and show the position there. It moves nothing: move the drive meanwhile."""
+    """Arm a touch probe (0x60B8), wait for its edge, and show the position there. It moves nothing: move the drive meanwhile.
+
+    \b
+    canopen drive probe 3 --edge positive -b demo
+    """
     screen = settings.screen()
     unit, scale = unit_of_command(settings, None)
 

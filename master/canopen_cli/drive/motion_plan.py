@@ -29,7 +29,6 @@ _SHORT: Final = {short_name(mode): mode for mode in MODES}
 @click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @click.option("--feed-forward", is_flag=True, help="With an RPDO for what is fed forward in csp: 0x60B1 and 0x60B2.")
 @common
-@click.pass_obj
 def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward: bool) -> None:
     """Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it. Nothing is written.
 

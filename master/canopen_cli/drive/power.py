@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from canopen_cli.drive.session import command_drive, show_drive, unit_of_command
+from canopen_cli.shared.numbers import NumberCommand, UnitName, position_text
 from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, lasting
 from canopen_cli.shared.problem import usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
@@ -25,9 +26,12 @@ from canopen_proto.procedures.steps import Procedure, current_time
 @enabling
 @commanding
 @common
-@click.pass_obj
 def enable(settings: Settings, seconds: float | None) -> None:
-    """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none."""
+    """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none.
+
+    \b
+    canopen drive enable 3 -b demo --for 5s
+    """
     screen = settings.screen()
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
@@ -42,50 +46,54 @@ def enable(settings: Settings, seconds: float | None) -> None:
         end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
         watch: DriveWait[bool] = DriveWait(axis, "the end of its time", stays=State.OPERATION_ENABLED)
         yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
+        screen.say(f"{seconds:g} s are over: it gets no more power")
 
     show_drive(settings, screen, command_drive(settings, screen, procedure, ends=seconds is not None))
 
 
-@click.command()
+@click.command(cls=NumberCommand)
 @click.argument("position", type=float)
 @click.option("--relative", is_flag=True, help="By so much from where it stands.")
 @click.option(
     "--in",
     "unit",
-    type=click.Choice([COUNTS, *(each.value for each in Unit)]),
+    type=UnitName([COUNTS, *Unit]),
     help=f"The unit of POSITION.  [default: that of the joint in the machine file, else {COUNTS}]",
 )
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
 @enabling
 @commanding
 @common
-@click.pass_obj
 def move(settings: Settings, position: float, relative: bool, unit: str | None, limit: Time) -> None:
     """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 
     The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
     than counts need a drive that tells its scale: `canopen drive units NODE`. A joint of a machine file moves in the unit, and
     within the limits, that stand there.
+
+    \b
+    canopen drive move 3 2000 -b demo
+    canopen drive move 3 --relative -b demo -- -500
     """
     screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
     if chosen == COUNTS and not position.is_integer():
         raise usage("CO120", f"a position in counts is a whole number; it is {position!r}", tries=("a whole number, or --in",))
 
-    def procedure(axis: Axis) -> Procedure[tuple[float, float, DriveView]]:
+    def procedure(axis: Axis) -> Procedure[tuple[float, float, float, DriveView]]:
         yield from identify(axis)
         begin = yield from procedures.read_position(axis)
         yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
         end = yield from procedures.read_position(axis)
         yield from procedures.shut_down(axis)
-        return begin, end, (yield from look_at_drive(axis.node))
+        return begin, end, 1 / axis.scale.amount_from_counts(1), (yield from look_at_drive(axis.node))
 
-    begin, end, view = command_drive(settings, screen, procedure, _moved, scale)
+    begin, end, counts, view = command_drive(settings, screen, procedure, _moved, scale)
     if settings.json:
         screen.json({"from": begin, "to": end, "unit": chosen, "state": str(view.state)})
         return
     name = chosen if chosen == COUNTS else f"{chosen}s"
-    screen.fact("moved", f"from {begin:.10g} to {end:.10g} {name}")
+    screen.fact("moved", f"from {position_text(begin, counts)} to {position_text(end, counts)} {name}")
     screen.fact("state", str(view.state))
 
 

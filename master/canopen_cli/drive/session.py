@@ -9,11 +9,13 @@ from typing import Final, TypeAlias, TypeVar
 
 import click
 
+from canopen_cli.shared.numbers import position_text
 from canopen_cli.shared.options import DriveId, Settings
-from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.problem import ExitCode, usage, with_bus
 from canopen_cli.shared.running import Story, run
-from canopen_cli.shared.screen import Screen
+from canopen_cli.shared.screen import Screen, counted
 from canopen_cli.shared.session import BusSession, open_session
+from canopen_cli.shared.time_left import time_left
 from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.node import Node
@@ -32,6 +34,16 @@ NODE: Final = "canopen.drive.node"
 """The key of the node-ID, or of a name in the machine file, in `click.Context.meta`."""
 AXIS: Final = "canopen.drive.axis"
 """The key of --axis there; None: not given."""
+_REMEDIES: Final = {
+    "enable it": "drive enable",
+    "enable it again; if it does not leave this state, disable it first": "drive enable",
+    "remove the cause, then reset the fault": "drive fault-reset",
+    "a command without bit 8": "drive disable",
+    "select one (0x6060)": "drive mode",
+    "start it (NMT)": "nmt start",
+    "home it": "drive home",
+}
+"""What the library advises, and the commands that do it, or show how."""
 Scale: TypeAlias = Callable[[AxisNode], Procedure[float]]
 """Reads how many counts one unit of position has."""
 
@@ -42,8 +54,10 @@ def run_on_node(
     """Run a procedure on the node that the command line names."""
     node_id, axis = node_of_command(), axis_of_command(settings)  # a name also says which bus the session opens
 
+    label = f"drive {node_id}: {click.get_current_context().info_name}"
+
     async def command() -> T:
-        async with open_session(settings, screen) as session:
+        async with open_session(settings, screen) as session, time_left(screen, label, None, "Ctrl-C halts it"):
             return await session.master.run(procedure(session, session.node(node_id, axis)))
 
     return run(settings, screen, command, story=story)
@@ -129,8 +143,11 @@ def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> No
     show_drive(settings, screen, command_drive(settings, screen, procedure))
 
 
-def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tuple[float, str] | None = None) -> None:
-    """Show what a drive shows, and what keeps it from moving. position: with its unit, if a machine file tells the unit."""
+def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tuple[float, str, float] | None = None) -> None:
+    """Show what a drive shows, and what keeps it from moving.
+
+    position: with its unit, and the counts in one, if a machine file tells the unit.
+    """
     found = reasons(view)
     if settings.json:
         screen.json(
@@ -155,12 +172,23 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tu
     if view.mode is not None:
         screen.fact("mode", mode_name(view.mode))
     if view.position is not None:
-        counts = f"{view.position} counts"
-        screen.fact("position", counts if position is None else f"{position[0]:.10g} {position[1]}  ({counts})")
+        counts = f"{counted(view.position, 'count')}"
+        screen.fact(
+            "position", counts if position is None else f"{position_text(position[0], position[2])} {position[1]}  ({counts})"
+        )
     if not found:
         screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
     for number, (what, remedy, _) in enumerate(found):
-        screen.fact("" if number else "it does not move", f"{what}. Try: {remedy}")
+        screen.fact("" if number else "it does not move", f"{what}. Try: {_with_command(settings, remedy)}")
+
+
+def _with_command(settings: Settings, remedy: str) -> str:
+    """Return a remedy with the command that does it, if there is one."""
+    if remedy not in _REMEDIES:
+        return remedy
+    verb, node = _REMEDIES[remedy], node_of_command()
+    axis = 0 if verb.startswith("nmt ") else axis_of_command(settings)
+    return f"{remedy}: {with_bus(f'canopen {verb} {node}' + f' --axis {axis}' * bool(axis), *settings.typed_bus())}"
 
 
 def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale | None]:
@@ -182,8 +210,7 @@ def counts_per(node: AxisNode, unit: Unit) -> Procedure[float]:
     """Return the counts in one unit, as the drive tells. Raises a CommandError if it does not."""
     found = (yield from read_units(node)).counts_per(unit)
     if found is None:
-        raise CommandError(
-            ExitCode.USAGE,
+        raise usage(
             "CO321",
             f"drive {node.node_id} does not tell how many counts a {unit} has",
             tries=(

@@ -9,7 +9,17 @@ from typing import Any
 
 import click
 
-from canopen_cli.drive.session import command_drive, joint_settings, read_drive, show_drive, take_step, unit_of_command
+from canopen_cli.drive.session import (
+    axis_of_command,
+    command_drive,
+    joint_settings,
+    node_of_command,
+    read_drive,
+    show_drive,
+    take_step,
+    unit_of_command,
+)
+from canopen_cli.shared.numbers import NumberCommand
 from canopen_cli.shared.options import Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_master.motion.single_drive import look_at_drive
@@ -25,14 +35,17 @@ from canopen_proto.procedures.steps import Procedure
 
 @click.command()
 @common
-@click.pass_obj
 def state(settings: Settings) -> None:
-    """Show state, mode and position of a drive, and what keeps it from moving."""
+    """Show state, mode and position of a drive, and what keeps it from moving.
+
+    \b
+    canopen drive state 3 -b demo
+    """
     screen = settings.screen()
     unit, _ = unit_of_command(settings, None)
     axis_settings = joint_settings(settings)
 
-    def look(node: AxisNode) -> Procedure[tuple[DriveView, float | None]]:
+    def look(node: AxisNode) -> Procedure[tuple[DriveView, tuple[float, str, float] | None]]:
         view = yield from look_at_drive(node, axis_settings)
         counts = axis_settings.counts_per_unit
         if unit == COUNTS or view.position is None:
@@ -41,26 +54,32 @@ def state(settings: Settings) -> None:
             counts = (yield from read_units(node)).counts_per(axis_settings.unit)
         if counts is None:
             return view, None
-        return view, axis_settings.direction * (view.position - axis_settings.offset) / counts
+        return view, (axis_settings.direction * (view.position - axis_settings.offset) / counts, unit, counts)
 
     view, position = read_drive(settings, screen, look)
-    show_drive(settings, screen, view, None if position is None else (position, unit))
+    show_drive(settings, screen, view, position)
 
 
 @click.command("fault-reset")
 @commanding
 @common
-@click.pass_obj
 def fault_reset(settings: Settings) -> None:
-    """Reset a fault: a rising edge of bit 7. It moves nothing: the drive is not enabled afterwards."""
+    """Reset a fault: a rising edge of bit 7. It moves nothing: the drive is not enabled afterwards.
+
+    \b
+    canopen drive fault-reset 3 -b demo
+    """
     take_step(settings, procedures.reset_fault)
 
 
 @click.command()
 @common
-@click.pass_obj
 def units(settings: Settings) -> None:
-    """Show what the numbers of a drive mean, and which of its objects say so (the factor group)."""
+    """Show what the numbers of a drive mean, and which of its objects say so (the factor group).
+
+    \b
+    canopen drive units 3 -b demo
+    """
     screen = settings.screen()
     found = read_drive(settings, screen, read_units)
     if settings.json:
@@ -71,7 +90,14 @@ def units(settings: Settings) -> None:
     for conflict in found.conflicts:
         screen.data(f"[yellow]these differ:[/] {conflict}")
     if found.per_turn is None and found.per_metre is None:
-        screen.say("The drive does not tell what a count is. Try: counts_per_turn in a machine file, by its manual")
+        joint = settings.joint(node_of_command(), axis_of_command(settings))
+        if joint is not None and joint.settings.counts_per_unit is not None:
+            unit = "unit" if joint.settings.unit is None else joint.settings.unit.value
+            screen.say(
+                f"The drive does not tell what a count is. The machine file does: {joint.settings.counts_per_unit:g} in a {unit}"
+            )
+        else:
+            screen.say("The drive does not tell what a count is. Try: counts_per_turn in a machine file, by its manual")
 
 
 def _units_rows(units: DriveUnits) -> list[tuple[str, str, str]]:
@@ -112,15 +138,18 @@ def _units_json(units: DriveUnits) -> dict[str, Any]:
     }
 
 
-@click.command(context_settings={"ignore_unknown_options": True})  # a maker's mode is below 0
+@click.command(cls=NumberCommand)  # a maker's mode is below 0
 @click.argument("name", metavar="[MODE]", required=False)
 @commanding
 @common
-@click.pass_obj
 def mode(settings: Settings, name: str | None) -> None:
     """Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one.
 
     A drive that is enabled is not changed: in some modes it would obey an old target at once.
+
+    \b
+    canopen drive mode 3 -b demo
+    canopen drive mode 3 pp -b demo
     """
     screen = settings.screen()
 

@@ -67,12 +67,14 @@ DISABLE: Final = Stop("disable voltage", Command.DISABLE_VOLTAGE, shut_down)
 @click.command()
 @commanding
 @common
-@click.pass_obj
 def stop(settings: Settings) -> None:
     """Command a quick stop, and wait until the drive stands. It brakes as 0x605A says; most drives have no power afterwards.
 
     The first frame that is sent is the stop. Without --axis all axes of the node are stopped. A node that does not answer is told
     by NMT too, which is announced.
+
+    \b
+    canopen drive stop 3 -b demo
     """
     _carry_out(settings, QUICK_STOP)
 
@@ -80,12 +82,14 @@ def stop(settings: Settings) -> None:
 @click.command()
 @commanding
 @common
-@click.pass_obj
 def disable(settings: Settings) -> None:
     """Take the power from a drive. One that moves coasts, or is stopped as its maker chose.
 
     The first frame that is sent is the command. Without --axis all axes of the node lose their power. A node that does not answer
     is told by NMT too, which is announced.
+
+    \b
+    canopen drive disable 3 -b demo
     """
     _carry_out(settings, DISABLE)
 

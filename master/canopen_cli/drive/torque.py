@@ -8,8 +8,9 @@ from typing import Final
 import click
 
 from canopen_cli.drive.session import command_drive
+from canopen_cli.shared.numbers import NumberCommand, UnitName
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
-from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.problem import usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -21,12 +22,12 @@ PER_MILLE: Final = "per-mille"
 NEWTON_METRE: Final = "newton-metre"
 
 
-@click.command()
+@click.command(cls=NumberCommand)
 @click.argument("value", type=float)
 @click.option(
     "--in",
     "unit",
-    type=click.Choice([PER_MILLE, NEWTON_METRE]),
+    type=UnitName([PER_MILLE, NEWTON_METRE]),
     default=PER_MILLE,
     show_default=True,
     help="The unit of VALUE: thousandths of the rated torque, or N·m.",
@@ -42,7 +43,6 @@ NEWTON_METRE: Final = "newton-metre"
 @enabling
 @commanding
 @common
-@click.pass_obj
 def torque(
     settings: Settings,
     value: float,
@@ -57,6 +57,9 @@ def torque(
     Ctrl-C ends it earlier. Nothing is done if nothing limits the speed: neither --max-speed nor 0x607F or 0x6080 of the drive.
     The master watches the speed, and the limits of the position, and halts the drive when it leaves them. A load that the brake
     holds may fall until the torque has grown.
+
+    \b
+    canopen drive torque 3 50 --max-speed 1000 --for 1s -b demo
     """
     if any_speed and max_speed is not None:
         raise usage("CO123", "--max-speed and --any-speed exclude each other", tries=("one of them",))
@@ -90,8 +93,7 @@ def _whole(axis: Axis, unit: str, rated: float | None) -> float:
     if unit == PER_MILLE:
         return 1000.0
     if rated is None:
-        raise CommandError(
-            ExitCode.USAGE,
+        raise usage(
             "CO321",
             f"drive {axis.node.node_id} does not tell its rated torque (0x6076)",
             tries=("the same in per mille, without --in",),

@@ -8,8 +8,9 @@ from typing import Final
 import click
 
 from canopen_cli.drive.session import command_drive, unit_of_command
+from canopen_cli.shared.numbers import NumberCommand, UnitName
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
-from canopen_cli.shared.problem import CommandError, ExitCode
+from canopen_cli.shared.problem import usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -24,12 +25,12 @@ _MODES: Final = {"pv": Mode.PROFILE_VELOCITY, "vl": Mode.VELOCITY}
 _ABOVE_0: Final = FiniteRange(0, min_open=True)
 
 
-@click.command(context_settings={"ignore_unknown_options": True})  # a velocity may be below 0
+@click.command(cls=NumberCommand)
 @click.argument("value", type=float)
 @click.option(
     "--in",
     "unit",
-    type=click.Choice([COUNTS, RPM, *(each.value for each in Unit)]),
+    type=UnitName([COUNTS, RPM, *Unit]),
     help=f"VALUE is so many of it per second; rpm: turns of the motor.  [default: that of the joint, else {COUNTS}]",
 )
 @lasting(low_open=True)
@@ -40,7 +41,6 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 @enabling
 @commanding
 @common
-@click.pass_obj
 def velocity(
     settings: Settings,
     value: float,
@@ -56,6 +56,9 @@ def velocity(
     Then the drive is halted, and has no power once it stands. It is also halted before the limits of its position (0x607D), if
     it tells them. It gets VALUE rounded to its own unit; the command tells which velocity that is. A joint of a machine file runs
     in the unit, and within the limits, that stand there.
+
+    \b
+    canopen drive velocity 3 500 --for 2s -b demo
     """
     screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
@@ -119,8 +122,7 @@ def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
         axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0)
     elif turn is None:
         node_id = axis.node.node_id
-        raise CommandError(
-            ExitCode.USAGE,
+        raise usage(
             "CO321",
             f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F)",
             tries=(f"canopen drive units {node_id}    what it tells", f"--in {RPM if mode is Mode.VELOCITY else COUNTS}"),

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import click
 
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, common, option_group
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import counted, escape
 from canopen_cli.shared.values import as_json, object_json, parse_value, place_text, value_text
@@ -24,24 +23,19 @@ from canopen_proto.dictionary.download_order import download_order, settings_of
 from canopen_proto.dictionary.model import Variable
 from canopen_proto.multiplexer import index_of, subindex_of
 
-F = TypeVar("F", bound=Callable[..., Any])
 Setting = tuple[Variable, Value]
 MAX_MODULE: Final = 0xFFFF
 MAX_TRIES: Final = 5
 """Modules that an error lists."""
 
 
-def _settings(command: F) -> F:
-    """Add the options that name the device and its settings."""
-    options: list[Callable[[F], F]] = [
-        click.argument("path", metavar="FILE"),
-        click.option("--id", "node_id", metavar="N", type=NodeId(), help="The device's node-ID; a DCF may have it already."),
-        click.option("--set", "assignments", metavar="OBJECT=VALUE", multiple=True, help="A setting; may be repeated."),
-        click.option("-o", "--output", metavar="OUT", required=True, help="The new file."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+_settings: Final = option_group(
+    click.argument("path", metavar="FILE"),
+    click.option("--id", "node_id", metavar="N", type=NodeId(), help="The device's node-ID; a DCF may have it already."),
+    click.option("--set", "assignments", metavar="OBJECT=VALUE", multiple=True, help="A setting; may be repeated."),
+    click.option("-o", "--output", metavar="OUT", required=True, help="The new file."),
+)
+"""The options that name the device and its settings."""
 
 
 @click.command(name="to-dcf")
@@ -50,7 +44,6 @@ def _settings(command: F) -> F:
 @click.option("--name", "node_name", help="What the device is called in its network.")
 @click.option("--modules", metavar="N,...", help="Modular device: the number of the module in each slot; 0 for an empty one.")
 @common
-@click.pass_obj
 def to_dcf(
     settings: Settings,
     path: str,
@@ -76,7 +69,7 @@ def to_dcf(
     if unknown := sorted({each for each in slots if each} - known.keys()):
         tries = tuple(f"{number}: {name}" for number, name in known.items()) or ("leave out --modules",)
         raise usage("CO001", f"{path} describes no module {unknown[0]}", tries=tries[:MAX_TRIES])
-    commissioning = _commissioned(description, node_id, path)
+    commissioning = commissioned(description, node_id, path)
     if bitrate is not None:
         commissioning = replace(commissioning, bit_rate=int(bitrate))
     supported = description.device_info.bit_rates
@@ -101,7 +94,6 @@ def to_dcf(
 @click.command(name="to-cdcf")
 @_settings
 @common
-@click.pass_obj
 def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tuple[str, ...], output: str) -> None:
     """Make a concise DCF: the bytes that object 0x1F22 of a configuration manager takes.
 
@@ -114,7 +106,7 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
     screen = settings.screen()
     check_new_file(settings, screen, output, path)
     file = open_description(path, settings.encoding)
-    commissioning = _commissioned(file.description, node_id, path)
+    commissioning = commissioned(file.description, node_id, path)
     assert commissioning.node_id is not None
     dictionary = file.description.dictionary
     chosen = {variable.mux: value for variable, value in _assigned(file, assignments)}
@@ -132,7 +124,7 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
         screen.detail(f"left out: {place}, {reason}")
     if not order.writes:
         screen.say("[yellow]nothing is configured[/]: name settings with --set, or take a DCF with ParameterValue entries")
-    screen.say(f"{escape(output)}: {counted(len(order.writes), 'write')}, {len(data)} bytes")
+    screen.say(f"{escape(output)}: {counted(len(order.writes), 'write')}, {counted(len(data), 'byte')}")
 
 
 def _slots(text: str | None) -> tuple[int, ...]:
@@ -143,7 +135,8 @@ def _slots(text: str | None) -> tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-def _commissioned(description: DeviceDescription, node_id: int | None, path: str) -> Commissioning:
+def commissioned(description: DeviceDescription, node_id: int | None, path: str) -> Commissioning:
+    """Return how a device is set up in its network. node_id: replaces that of the file. Raises a CommandError without one."""
     commissioning = description.commissioning or Commissioning()
     if node_id is not None:
         return replace(commissioning, node_id=node_id)

@@ -22,7 +22,6 @@ _MARKS: Final = {Change.ADDED: "[green]+[/]", Change.REMOVED: "[red]-[/]", Chang
 @click.argument("before", metavar="A")
 @click.argument("after", metavar="B")
 @common
-@click.pass_obj
 def diff(settings: Settings, before: str, after: str) -> int:
     """Compare two device descriptions by meaning: EDS, DCF, XDD, XDC, in any mixture.
 

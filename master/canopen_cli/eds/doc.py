@@ -23,7 +23,6 @@ FORMS = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 @click.option("-o", "--output", metavar="OUT", help="The page: OUT.html or OUT.md. Without it, the page goes to stdout.")
 @click.option("--form", type=click.Choice(["html", "md"]), help="By default what the name of OUT says, else html.")
 @common
-@click.pass_obj
 def doc(settings: Settings, path: str, output: str | None, form: str | None) -> None:
     """Make one readable page of a device description: HTML that needs nothing else, or Markdown.
 

@@ -26,7 +26,6 @@ _STYLES = {"+": "green", "-": "red", "@": "cyan"}
 @click.option("--in-place", is_flag=True, help="Write it back to FILE.")
 @click.option("--dry-run", is_flag=True, help="Show what would be changed, as a unified diff, and write nothing.")
 @common
-@click.pass_obj
 def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_run: bool) -> int:
     """Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding.
 

@@ -17,6 +17,7 @@ COMMANDS: Final = {
     "stubs": ("eds.stubs", "Write a typed view of a device: a Python file with a key for each object."),
     "to-dcf": ("eds.dcf", "Make a DCF: this device, with this node-ID and these settings."),
     "to-cdcf": ("eds.dcf", "Make a concise DCF: the bytes that object 0x1F22 of a configuration manager takes."),
+    "to-dbc": ("eds.dbc", "Make a DBC of a device's PDOs, heartbeat and emergencies, for log tools that know no EDS."),
 }
 
 

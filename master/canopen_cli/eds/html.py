@@ -12,6 +12,7 @@ from typing import Final
 from canopen_cli.eds.page import ObjectGroup, ObjectRow, Page
 from canopen_cli.eds.text import PdoText
 from canopen_master.plain_text import clean
+from canopen_proto.explained import counted
 
 _STYLE: Final = """
 :root{--ink:#1b1f24;--dim:#667085;--line:#e3e7ec;--page:#fff;--soft:#f6f8fa;--mark:#0b6bcb;--rpdo:#dcecfb;--tpdo:#ddf3e4}
@@ -82,7 +83,7 @@ def _lines(page: Page) -> Iterator[str]:
 
 
 def _pdo(pdo: PdoText) -> Iterator[str]:
-    details = ", ".join(each for each in (pdo.transmission, pdo.times, pdo.note, f"{pdo.bits} bits") if each)
+    details = ", ".join(each for each in (pdo.transmission, pdo.times, pdo.note, counted(pdo.bits, "bit")) if each)
     off = "" if pdo.exists else " (does not exist until its COB-ID is set)"
     yield f'<div class="pdo{"" if pdo.exists else " off"}">'
     yield f'<p><b>{_e(pdo.name)}</b> <span class="place">{_e(pdo.cob_id)}</span> <span class="dim">{_e(details + off)}</span></p>'
@@ -90,7 +91,7 @@ def _pdo(pdo: PdoText) -> Iterator[str]:
         yield f'<div class="bits {pdo.direction.lower()}">'
         for entry in pdo.entries:
             text = "unused" if entry.is_dummy else entry.name or entry.place
-            title = f"{entry.place} {entry.name}, {entry.bits} bits"
+            title = f"{entry.place} {entry.name}, {counted(entry.bits, 'bit')}"
             gap = ' class="gap"' if entry.is_dummy else ""
             yield f'<span{gap} style="flex-grow:{max(entry.bits, 1)}" title="{_e(title)}">{_e(text)} · {entry.bits}</span>'
         yield "</div>"

@@ -52,7 +52,6 @@ class _Report:
 @click.option("--max-errors", type=click.IntRange(min=0), default=50, show_default=True, help="Findings shown per file; 0: all.")
 @click.option("--rules", is_flag=True, help="List the rules that are checked, and end.")
 @common
-@click.pass_obj
 def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: int, rules: bool) -> int:
     """Check device descriptions: EDS, DCF, XDD, XDC.
 

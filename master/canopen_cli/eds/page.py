@@ -90,19 +90,8 @@ def anchor_of(variable: Variable) -> str:
 
 def _row(variable: Variable, anchor: str, place: str, name: str, is_part: bool = False) -> ObjectRow:
     unit = f" {variable.unit}" if variable.unit else ""
-    return ObjectRow(
-        anchor,
-        place,
-        name,
-        variable.data_type.name,
-        str(variable.access),
-        "yes" if variable.pdo_mappable else "",
-        eds_text.default_text(variable),
-        eds_text.limits_text(variable) + unit,
-        eds_text.configured_text(variable),
-        variable.description,
-        is_part,
-    )
+    kind, access, pdo, default, limits, configured = eds_text.cells_of(variable)
+    return ObjectRow(anchor, place, name, kind, access, pdo, default, limits + unit, configured, variable.description, is_part)
 
 
 def _names(description: DeviceDescription) -> Iterator[tuple[str, str, str]]:

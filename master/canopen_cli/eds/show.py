@@ -25,7 +25,6 @@ COLUMNS = ("object", "name", "type", "access", "PDO", "default", "limits")
 @click.argument("path", metavar="FILE")
 @click.argument("keys", metavar="[OBJECT]...", nargs=-1)
 @common
-@click.pass_obj
 def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
     """Show what a device description says: EDS, DCF, XDD, XDC.
 
@@ -107,16 +106,7 @@ def _rows(each: Object, variables: list[Variable]) -> Iterator[tuple[str, ...]]:
 
 
 def _row(variable: Variable, place: str, name: str) -> tuple[str, ...]:
-    return (
-        place,
-        name,
-        variable.data_type.name,
-        str(variable.access),
-        "yes" if variable.pdo_mappable else "",
-        eds_text.default_text(variable),
-        eds_text.limits_text(variable),
-        eds_text.configured_text(variable),
-    )
+    return (place, name, *eds_text.cells_of(variable))
 
 
 def _show_head(screen: Screen, description: DeviceDescription) -> None:

@@ -24,7 +24,6 @@ from canopen_data.stubs import identifier, stubs_of
 @click.option("-o", "--output", metavar="OUT.py", required=True, help="The new Python file.")
 @click.option("--class", "class_name", metavar="NAME", help="The class in it; by default after OUT: drive.py has Drive.")
 @common
-@click.pass_obj
 def stubs(settings: Settings, path: str, output: str, class_name: str | None) -> None:
     """Write a typed view of a device: a Python file with a key for each object.
 

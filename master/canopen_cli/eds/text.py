@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from canopen_cli.shared.device_types import device_type_text
 from canopen_cli.shared.values import value_text
 from canopen_data.checks.mappings import entries_of
 from canopen_data.checks.structure import field_name
 from canopen_data.checks.subject import Number, Subject
 from canopen_data.description import DeviceDescription
+from canopen_master.device_types import device_type_text
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary.model import Direction, Object, ObjectType, Variable
@@ -146,6 +146,18 @@ def full_name(each: Object, variable: Variable) -> str:
     """Return the name of a sub-object with its object's name before it: "channel 1" alone is not clear."""
     own = field_name(each, variable.name)
     return own if is_one(each) or own == each.name else f"{each.name}: {own}"
+
+
+def cells_of(variable: Variable) -> tuple[str, str, str, str, str, str]:
+    """Return the cells of a sub-object in a table: type, access, PDO, default, limits, configured value."""
+    return (
+        variable.data_type.name,
+        str(variable.access),
+        "yes" if variable.pdo_mappable else "",
+        default_text(variable),
+        limits_text(variable),
+        configured_text(variable),
+    )
 
 
 def limits_text(variable: Variable) -> str:

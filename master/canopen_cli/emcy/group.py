@@ -9,7 +9,7 @@ import click
 from canopen_cli.shared.lazy import LazyGroup
 
 COMMANDS: Final = {
-    "watch": ("emcy.watch", "Show emergencies in words as they come, until Ctrl-C. Nothing is sent."),
+    "watch": ("emcy.watch", "Show emergencies in words as they come, of all nodes or of one, until Ctrl-C. Nothing is sent."),
     "history": ("emcy.history", "Show a node's error register (0x1001) and its last errors (0x1003), the newest first."),
     "clear": ("emcy.history", "Have a node forget its last errors: 0 is written to 0x1003:00."),
 }

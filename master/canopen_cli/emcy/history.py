@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import click
 
+from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.options import NodeId, Settings, commanding, common
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import open_session
-from canopen_cli.shared.withholding import show_unsent
 from canopen_master.errors import SdoRefusedError
 from canopen_master.node import Node
 from canopen_proto import indices
@@ -32,7 +32,6 @@ class ErrorHistory(NamedTuple):
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @common
-@click.pass_obj
 def history(settings: Settings, node_id: int) -> None:
     """Show a node's error register (0x1001) and its last errors (0x1003), the newest first.
 
@@ -61,7 +60,6 @@ def history(settings: Settings, node_id: int) -> None:
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @commanding
 @common
-@click.pass_obj
 def clear(settings: Settings, node_id: int) -> None:
     """Have a node forget its last errors: 0 is written to 0x1003:00.
 
@@ -71,10 +69,7 @@ def clear(settings: Settings, node_id: int) -> None:
     canopen emcy clear 3 -b demo
     """
     screen = settings.screen()
-    if settings.dry_run:
-        show_unsent(settings, screen, lambda: _clear(settings, screen, node_id))
-        return
-    forgotten = run(settings, screen, lambda: _clear(settings, screen, node_id))
+    forgotten = run_or_show(settings, screen, lambda: _clear(settings, screen, node_id))
     if settings.json:
         screen.json({"node": node_id, "forgotten": forgotten})
     else:

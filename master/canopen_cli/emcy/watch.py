@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -11,10 +12,11 @@ import trio
 
 from canopen_cli.live.frame_lines import Buses
 from canopen_cli.live.line_writer import open_line_writer
-from canopen_cli.live.source import FILE_OR_INPUT, open_live_source, require_frames, tell_skipped
+from canopen_cli.live.source import open_live_source, recorded, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import NodeIds, Settings, common, lasting
-from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, lasting
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import read_dictionary
 from canopen_master.plain_text import json_text
@@ -27,65 +29,79 @@ _LEAST: Final = 2
 
 
 @click.command()
+@click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @click.option("--node", "nodes", type=NodeIds(), help="Only from these nodes: 5, or 3-8.")
-@click.option("--from", "source", metavar="FILE", type=FILE_OR_INPUT, help="A log file in place of the bus; - is standard input.")
+@recorded
 @lasting()
 @common
-@click.pass_obj
-def watch(settings: Settings, nodes: tuple[int, ...] | None, source: Path | None, seconds: float | None) -> None:
-    """Show emergencies in words as they come, until Ctrl-C. Nothing is sent.
+def watch(
+    settings: Settings, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float | None
+) -> int:
+    """Show emergencies in words as they come, of all nodes or of one, until Ctrl-C. Nothing is sent.
 
     Each line has the error code, what it means, the error register and the maker's bytes. An emergency with the code 0 says that
-    errors are gone.
+    errors are gone. Exit status 5: no frame at all was heard.
 
     \b
     canopen emcy watch -b demo
-    canopen emcy watch --node 5 --for 10s -b can0
-    canopen emcy watch --from trace.log --json
+    canopen emcy watch 5 --for 10s -b can0
+    canopen emcy watch --log trace.log --json
     """
     screen = settings.screen()
+    if node_id is not None:
+        nodes = (node_id, *(nodes or ()))
     files = NodeFiles(settings, screen, read_dictionary(screen))
-    told: list[int] = []
+    counts = _Counts()
 
     async def show() -> None:
         try:
             with trio.move_on_after(math.inf if seconds is None else seconds):
-                await _show(settings, screen, files, frozenset(nodes or ()), source, told)
+                await _show(settings, screen, files, frozenset(nodes or ()), source, counts)
         finally:
-            screen.say(counted(len(told), "emergency").replace("emergencys", "emergencies"))
+            if source is None or counts.frames:
+                screen.say(counted(counts.told, "emergency"))
 
     run_until_interrupted(settings, screen, show, reads=source)
+    if source is None and not counts.frames:
+        screen.say("[yellow]no frame at all was heard: that nobody tells of an error says nothing[/]")
+        return ExitCode.NO_ANSWER
+    return ExitCode.OK
+
+
+@dataclass
+class _Counts:
+    """What has come. told: emergencies that were shown."""
+
+    frames: int = 0
+    told: int = 0
 
 
 async def _show(
-    settings: Settings, screen: Screen, files: NodeFiles, nodes: frozenset[int], source: Path | None, told: list[int]
+    settings: Settings, screen: Screen, files: NodeFiles, nodes: frozenset[int], source: Path | None, counts: _Counts
 ) -> None:
-    try:
-        async with (
-            open_live_source(settings, source) as live,
-            open_line_writer(screen, _gap, waits=not live.is_live) as writer,
-        ):
-            if live.is_live:
-                screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; nothing is sent")
-            buses, frames = Buses(files), 0
-            async for heard in live:
-                if not isinstance(heard, Record):
-                    continue
-                frames += 1
-                seconds, observation = buses.observe(heard)
-                meaning = observation.meaning
-                wanted = meaning.service == "EMCY" and len(heard.frame.data) >= _LEAST
-                if wanted and (not nodes or meaning.node_id in nodes):
-                    told.append(meaning.node_id)
-                    await writer.put(_line(screen, seconds, heard, meaning.node_id))
-            require_frames(live, live.name, frames)
-            tell_skipped(screen, live)
-    except ExceptionGroup as group:
-        raise first_of(group) from None
+    async with (
+        first_error(),
+        open_live_source(settings, source, screen) as live,
+        open_line_writer(screen, _gap, waits=not live.is_live, clear=live.clear) as writer,
+    ):
+        if live.is_live:
+            screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; nothing is sent")
+        buses = Buses(files)
+        async for heard in live:
+            if not isinstance(heard, Record):
+                continue
+            counts.frames += 1
+            seconds, observation = buses.observe(heard)
+            meaning = observation.meaning
+            wanted = meaning.service == "EMCY" and len(heard.frame.data) >= _LEAST
+            if wanted and (not nodes or meaning.node_id in nodes):
+                counts.told += 1
+                await writer.put(_line(screen, seconds, heard, meaning.node_id))
+        tell_skipped(screen, live)
 
 
 def _gap(number: int) -> str:
-    return f"! {number} emergencies are left out here\n"
+    return f"! {counted(number, 'emergency')} left out here\n"
 
 
 def _line(screen: Screen, seconds: float, record: Record, node_id: int) -> str:

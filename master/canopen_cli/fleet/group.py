@@ -13,6 +13,9 @@ COMMANDS: Final = {
     "read": ("fleet.looking", "Read objects of nodes of a fleet, side by side."),
     "watch": ("fleet.watching", "Tell what happens in a fleet, until Ctrl-C: who comes and goes, states, emergencies, PDOs."),
     "halt": ("fleet.halting", "Stop what moves, at one place or everywhere. Anybody may."),
+    "web": ("fleet.web", "Serve the machines of a fleet as a page in a browser, and by HTTP, until Ctrl-C."),
+    "record": ("fleet.record", "Record a fleet as Parquet, by site, node and hour, until Ctrl-C."),
+    "query": ("fleet.query", "Ask what a fleet was: values of nodes and objects, or SQL."),
     "router": ("fleet.router", "Pass on what bridges and viewers say, until Ctrl-C."),
 }
 

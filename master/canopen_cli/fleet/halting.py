@@ -18,12 +18,15 @@ from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
 @click.argument("place", type=PlaceText(), default="*/*")
 @joining
 @common
-@click.pass_obj
 def halt(settings: Settings, place: FleetPlace, connect: tuple[str, ...], config: Path | None) -> int:
     """Stop what moves, at one place or everywhere. Anybody may, always; nothing has to be allowed for it.
 
     PLACE is SITE/BUS or SITE/BUS/NODE; * stands for each. Everywhere by default. It is no safety function: keep the emergency
     stop within reach. Exit status 12: something did not confirm that it stands; 3: nobody answered.
+
+    \b
+    canopen fleet halt
+    canopen fleet halt hall-2/arm
     """
     screen = settings.screen()
 

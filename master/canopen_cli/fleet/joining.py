@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-from canopen_cli.shared.options import Kind
+from canopen_cli.shared.options import TextKind, without_object
 from canopen_gateway.errors import FleetError
 from canopen_gateway.fleet import Fleet, FleetPlace, open_fleet, parse_place
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, check_endpoint
@@ -18,19 +18,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 FLEET_VARIABLE: Final = "CANOPEN_FLEET"
 
 
-class Endpoint(Kind):
+class Endpoint(TextKind):
     """Where a program of a fleet is: "tcp/192.168.1.20:7447"."""
 
     name = "endpoint"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        try:
-            return check_endpoint(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+    def read(self, text: str) -> str:
+        return check_endpoint(text)
 
 
-class PlaceText(Kind):
+class PlaceText(TextKind):
     """SITE/BUS/NODE, or SITE/BUS. node: it has to name a node."""
 
     name = "place"
@@ -38,13 +35,15 @@ class PlaceText(Kind):
     def __init__(self, *, node: bool = False) -> None:
         self.node = node
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> FleetPlace:
-        if isinstance(value, FleetPlace):
-            return value
-        try:
-            return parse_place(str(value), node=self.node)
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+    def read(self, text: str) -> FleetPlace:
+        return parse_place(text, node=self.node)
+
+
+class PlaceOfObject(PlaceText):
+    """A node of a fleet, perhaps with an object of it: "hall/arm/5:6041". `with_named_object` has the object."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return super().convert(without_object(value, ctx) if ctx is not None and isinstance(value, str) else value, param, ctx)
 
 
 def zenoh_file(command: F) -> F:

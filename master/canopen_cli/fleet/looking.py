@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from canopen_cli.fleet.joining import PlaceText, joined, joining
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.fleet.joining import PlaceOfObject, joined, joining
+from canopen_cli.shared.options import Settings, common, with_named_object
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import counted, escape
@@ -20,7 +20,6 @@ from canopen_master.plain_text import clean
 @click.command()
 @joining
 @common
-@click.pass_obj
 def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int:
     """List the buses and nodes of a fleet, as their bridges see them.
 
@@ -41,6 +40,7 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
                     told.append((bus, {"outage": error.failed}))
             nodes = fleet.nodes
         for bus, status in told:
+            status.pop("run", None)  # tells two bridges apart, and a person nothing
             known = status.get("nodes")
             states = known if isinstance(known, dict) else {}
             there = [str(each.node_id) for each in nodes if each.bus_place == bus]
@@ -65,21 +65,21 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
 
 
 @click.command()
-@click.argument("place", type=PlaceText(node=True))
-@click.argument("objects", nargs=-1, required=True, metavar="OBJECT...")
+@click.argument("place", type=PlaceOfObject(node=True))
+@click.argument("objects", nargs=-1, metavar="OBJECT...")
 @joining
 @common
-@click.pass_obj
 def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], connect: tuple[str, ...], config: Path | None) -> int:
     """Read objects of nodes of a fleet, side by side. Exit status 5: a node did not answer; 11: it refused.
 
-    PLACE is SITE/BUS/NODE; * stands for each. OBJECT is a name of the bridge's dictionary, or 6041:00.
+    PLACE is SITE/BUS/NODE; * stands for each. OBJECT is a name of the bridge's dictionary, or 6041:00; it may stand at the node.
 
     \b
     canopen fleet read '*/*/*' 1008               all nodes of all machines
-    canopen fleet read hall-2/arm/5 statusword
+    canopen fleet read hall-2/arm/5:statusword
     """
     screen = settings.screen()
+    objects = with_named_object(objects, place)
 
     async def look() -> list[FleetValue]:
         async with joined(connect, config) as fleet:

@@ -24,7 +24,6 @@ from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_ze
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
 @lasting()
 @common
-@click.pass_obj
 def router(
     settings: Settings,
     listen: tuple[str, ...],

@@ -25,7 +25,6 @@ from canopen_proto.error_codes import error_text
 @lasting()
 @joining
 @common
-@click.pass_obj
 def watch(
     settings: Settings, place: FleetPlace, pdos: bool, seconds: float | None, connect: tuple[str, ...], config: Path | None
 ) -> None:

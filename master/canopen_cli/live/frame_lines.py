@@ -11,14 +11,17 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Final, TypeVar
+from dataclasses import dataclass
+from typing import Any, Final
 
 import click
 
+from canopen_cli.live.window import time_of_day
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import NodeIds
+from canopen_cli.shared.options import NodeIds, option_group
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen
+from canopen_master.monitor_words import SERVICES, finding_text, is_of_service, service_word
 from canopen_master.plain_text import clean, json_text
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND, Time
@@ -26,14 +29,9 @@ from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.meaning import ShownObject
 from canopen_proto.observer.observer import Observation, Observer
 from canopen_proto.observer.sequences import Summary
-from canopen_proto.observer.story import BusEvent
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.record import Record
 
-F = TypeVar("F", bound=Callable[..., Any])
-
-SERVICES: Final = ("nmt", "sync", "time", "emcy", "sdo", "heartbeat", "boot-up", "guarding", "lss", "nmt master", "?")
-"""The services that are no PDOs; those have names of their own, such as TPDO 1. ? is what no service explains."""
 WIDE: Final = 120
 """Columns of a terminal that shows the bytes of each frame, too."""
 MAX_KEPT: Final = 1 << 16
@@ -100,28 +98,29 @@ class Buses:
 # ---- which frames ----
 
 
-def choosing(command: F) -> F:
-    """Add the options that choose frames. The command takes `nodes`, `services`, `objects` and `changes`; see FrameChoice."""
-    for option in (
-        click.option("--changes", is_flag=True, help="Leave out a frame that says the same as the last one of its kind."),
-        click.option(
-            "--object",
-            "objects",
-            multiple=True,
-            metavar="OBJECT",
-            help="Only what has this object in it: 0x6041, 1018:01, statusword.",
-        ),
-        click.option(
-            "--service",
-            "services",
-            multiple=True,
-            metavar="NAME",
-            help=f"Only these: pdo, tpdo, rpdo, {', '.join(SERVICES)}; also several, as in sdo,emcy.",
-        ),
-        click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8."),
-    ):
-        command = option(command)
-    return command
+choosing: Final = option_group(
+    click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8."),
+    click.option(
+        "--service",
+        "services",
+        multiple=True,
+        metavar="NAME",
+        help=f"Only these: pdo, tpdo, rpdo, {', '.join(SERVICES)}; also several, as in sdo,emcy.",
+    ),
+    click.option(
+        "--object",
+        "objects",
+        multiple=True,
+        metavar="OBJECT",
+        help="Only what has this object in it: 0x6041, 1018:01, statusword; 5:statusword of node 5 alone.",
+    ),
+    click.option(
+        "--changes",
+        is_flag=True,
+        help="Leave out a frame that says the same as the last one of its kind (with --object: of these objects).",
+    ),
+)
+"""The options that choose frames. The command takes `nodes`, `services`, `objects` and `changes`; see FrameChoice."""
 
 
 class FrameChoice:
@@ -131,16 +130,16 @@ class FrameChoice:
         self, files: NodeFiles, nodes: tuple[int, ...] | None, services: Iterable[str], objects: Iterable[str], changes: bool
     ) -> None:
         """nodes: None for all of them; no services and no objects: all. Raises CommandError, ObjectNotFoundError for a word that
-        fits nothing. changes: only frames that differ from the last one of their kind."""
+        fits nothing. changes: only frames that differ from the last one of their kind, in these objects."""
         self.files = files
         self._has_parts = files.settings.verbosity > 0 or files.settings.json
         self._nodes = frozenset(nodes or ())
         self._services = tuple(_service(word) for each in services for word in each.lower().split(","))
-        self._numbers, self._names = _objects(objects)
-        self._of_node: dict[int, frozenset[tuple[int, int]]] = {}
+        self._wanted = tuple(self._object(word) for word in objects)
+        self._of_node: dict[int, tuple[tuple[int, int | None], ...]] = {}
         self._last: dict[object, str] | None = {} if changes else None
-        for name in self._names:
-            self._check(name)
+        for each in self._wanted:
+            self._check(each)
 
     def shows(self, record: Record, observation: Observation) -> bool:
         """Return whether a frame is shown. With a finding it always counts as a change, and as one of the finding's node."""
@@ -149,83 +148,92 @@ class FrameChoice:
             return False
         if self._nodes and meaning.node_id not in self._nodes and not any(each.node_id in self._nodes for each in findings):
             return False
-        if self._services and not any(_is_of(meaning.service.lower(), word) for word in self._services):
+        if self._services and not any(is_of_service(meaning.service.lower(), word) for word in self._services):
             return False
-        if (self._numbers or self._names) and not any(self.wants(shown) for shown in meaning.objects):
+        if self._wanted and not any(self.wants(shown) for shown in meaning.objects):
             return False
         return self._last is None or self._has_changed(self._last, record, observation)
 
     def wants(self, shown: ShownObject) -> bool:
         """Return whether an object of a frame is one of those that were named; all are, if none was."""
-        return not (self._numbers or self._names) or self._wants(shown.node_id, shown.index, shown.subindex)
+        return not self._wanted or self._wants(shown.node_id, shown.index, shown.subindex)
 
     def warns(self, finding: BusFinding) -> bool:
         """Return whether a finding is shown that belongs to no frame."""
-        is_free = not (self._numbers or self._names or self._services)
+        is_free = not (self._wanted or self._services)
         return is_free and (not self._nodes or finding.node_id in self._nodes)
 
     def tells(self, summary: Summary) -> bool:
         """Return whether the summary of a sequence of frames is shown."""
-        if self._numbers or self._names or (self._nodes and summary.node_id not in self._nodes):
+        if self._wanted or (self._nodes and summary.node_id not in self._nodes):
             return False
-        return not self._services or any(_is_of(summary.service.lower(), word) for word in self._services)
+        return not self._services or any(is_of_service(summary.service.lower(), word) for word in self._services)
 
     def _has_changed(self, last: dict[object, str], record: Record, observation: Observation) -> bool:
         meaning = observation.meaning
         key = (record.channel, record.frame.key, tuple((shown.index, shown.subindex) for shown in meaning.objects))
         if len(last) >= MAX_KEPT:
             last.clear()
-        before, last[key] = last.get(key), meaning.text
-        return before != meaning.text or bool(observation.findings)
+        text = meaning.text
+        if self._wanted:  # what else is in the frame may change as it likes
+            text = "\n".join(shown.text for shown in meaning.objects if self.wants(shown))
+        before, last[key] = last.get(key), text
+        return before != text or bool(observation.findings)
 
     def _wants(self, node_id: int, index: int, subindex: int) -> bool:
-        if (index, None) in self._numbers or (index, subindex) in self._numbers:
-            return True
         if node_id not in self._of_node:
-            self._of_node[node_id] = self._places(node_id)
-        return (index, subindex) in self._of_node[node_id]
+            self._of_node[node_id] = tuple(self._places(node_id))
+        return any(place in ((index, None), (index, subindex)) for place in self._of_node[node_id])
 
-    def _places(self, node_id: int) -> frozenset[tuple[int, int]]:
-        """Return where a node has the objects of these names."""
-        dictionary = self.files.dictionary_of(node_id)
-        found = (dictionary.variable(name) for name in self._names if name in dictionary)
-        return frozenset((variable.index, variable.subindex) for variable in found)
+    def _places(self, node_id: int) -> Iterator[tuple[int, int | None]]:
+        """Yield where a node has the objects that were named. None: each subindex."""
+        dictionary = self.files.dictionary_of(node_id) if node_id else None
+        for each in self._wanted:
+            if each.node_id not in (None, node_id):
+                continue
+            if each.index is not None:
+                yield each.index, each.subindex
+            elif dictionary is not None and each.name in dictionary:
+                variable = dictionary.variable(each.name)
+                yield variable.index, variable.subindex
 
-    def _check(self, name: str) -> None:
+    def _object(self, word: str) -> WantedObject:
+        """Return what a word means: an object, perhaps of one node: "6041", "1018:01", "statusword", "5:statusword". A name of a
+        field has a colon, too: what stands before it is a node only if there is one of that name, or if it is a number."""
+        word = word.strip()
+        node, colon, rest = word.partition(":")
+        node_id = None
+        if colon and _NUMBER.fullmatch(word) is None and rest and self.files.settings.is_node(node):
+            node_id, word = self.files.settings.node_id(node), rest
+        number = _NUMBER.fullmatch(word)
+        if number is None:
+            return WantedObject(node_id, word)
+        return WantedObject(node_id, word, int(number[1], 16), int(number[2], 16) if number[2] else None)
+
+    def _check(self, wanted: WantedObject) -> None:
         """Raise ObjectNotFoundError if no node has an object of this name."""
-        nodes = self._nodes or range(1, MAX_NODE_ID + 1)
-        if not any(name in self.files.dictionary_of(node_id) for node_id in nodes):
-            self.files.dictionary_of(min(nodes)).variable(name)
+        if wanted.index is not None:
+            return
+        nodes = self._nodes or range(1, MAX_NODE_ID + 1) if wanted.node_id is None else (wanted.node_id,)
+        if not any(wanted.name in self.files.dictionary_of(node_id) for node_id in nodes):
+            self.files.dictionary_of(min(nodes)).variable(wanted.name)
+
+
+@dataclass(frozen=True)
+class WantedObject:
+    """An object that was named. node_id: None: of each node. index: None: by its name. subindex: None: each."""
+
+    node_id: int | None
+    name: str
+    index: int | None = None
+    subindex: int | None = None
 
 
 def _service(word: str) -> str:
-    word = word.strip()
-    if word in SERVICES or re.fullmatch(r"[tr]?pdo( ?[0-9]+)?", word):
-        return word
-    raise usage(
-        "CO001", f"there is no service {word!r}", tries=(f"--service with one of: {', '.join(SERVICES)}, pdo, tpdo, rpdo",)
-    )
-
-
-def _is_of(service: str, word: str) -> bool:
-    """Return whether a service is the one that a word means."""
-    if word == "pdo":
-        return service not in SERVICES
-    if word in SERVICES:
-        return service == word
-    return re.search(f"{word.replace(' ', '')}(?![0-9])", service.replace(" ", "")) is not None
-
-
-def _objects(words: Iterable[str]) -> tuple[frozenset[tuple[int, int | None]], tuple[str, ...]]:
-    """Return the objects by number (None: each subindex), and those by name."""
-    numbers, names = set[tuple[int, int | None]](), []
-    for word in words:
-        number = _NUMBER.fullmatch(word.strip())
-        if number is None:
-            names.append(word)
-        else:
-            numbers.add((int(number[1], 16), int(number[2], 16) if number[2] else None))
-    return frozenset(numbers), tuple(names)
+    try:
+        return service_word(word)
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--service with one of these",)) from None
 
 
 # ---- what a line says ----
@@ -234,7 +242,9 @@ def _objects(words: Iterable[str]) -> tuple[frozenset[tuple[int, int | None]], t
 class FrameLines:
     """Makes the lines, each with its end: JSON documents with --json, else text for this screen."""
 
-    def __init__(self, screen: Screen) -> None:
+    def __init__(self, screen: Screen, *, clock: bool = False) -> None:
+        """clock: times of day, in place of seconds since the first frame."""
+        self._clock = clock
         self._json = screen.json_output
         self._screen = screen
         self._paint = _painter(screen)
@@ -256,9 +266,9 @@ class FrameLines:
             return json_text(line) + "\n"
         service, node = clean(meaning.service), str(meaning.node_id or "")
         if self._has_bytes:
-            head = f"{seconds:12.6f} {record.frame!s:<25} {service:<9} {node:>3}  "
+            head = f"{self._at(seconds, record.time, 6)} {record.frame!s:<25} {service:<9} {node:>3}  "
         else:
-            head = f"{seconds:10.4f} {str(record.frame).partition('#')[0]:<3} {service:<9} {node:>3}  "
+            head = f"{self._at(seconds, record.time, 4)} {str(record.frame).partition('#')[0]:<3} {service:<9} {node:>3}  "
         style = _STYLES.get(meaning.service.lower(), "")
         wrong = "".join(self._line("! ", finding_text(each), _FINDING) for each in findings)
         return self._line(head, clean(meaning.text), style) + wrong
@@ -267,7 +277,9 @@ class FrameLines:
         """Return the line for what is wrong because no frame comes. seconds: since the first frame."""
         if self._json:
             return json_text({"time": time, "channel": channel, "findings": [finding._asdict()]}) + "\n"
-        return self._line("! ", f"{seconds:.4f} s: {finding_text(finding)}", _FINDING)
+        return self._line(
+            "! ", f"{self._at(seconds, time, 4).strip()}{'' if self._clock else ' s'}: {finding_text(finding)}", _FINDING
+        )
 
     def summary(self, time: Time, channel: str, summary: Summary) -> str:
         """Return the line that sums up a sequence of frames. time: of the frame that it comes with."""
@@ -282,13 +294,23 @@ class FrameLines:
         if self._json:
             lost = report.lost if isinstance(report, ReceiveOverrun) else 0
             return json_text({"time": time, "report": report.failed, "seen": report.seen, "lost": lost}) + "\n"
-        return self._line("! ", clean(f"{seconds:.4f} s: {report.failed}: {report.seen}"), _FINDING)
+        return self._line(
+            "! ",
+            clean(f"{self._at(seconds, time, 4).strip()}{'' if self._clock else ' s'}: {report.failed}: {report.seen}"),
+            _FINDING,
+        )
 
     def gap(self, number: int) -> str:
         """Return the line in place of frames that the reader was too slow for. number: how many."""
         if self._json:
             return json_text({"left_out": number}) + "\n"
         return self._line("! ", f"{number} frames are left out here: the reader of this output is too slow", _FINDING)
+
+    def _at(self, seconds: float, time: Time, digits: int) -> str:
+        return f"{time_of_day(time):>{digits + 6}}" if self._clock else f"{seconds:{digits + 6}.{digits}f}"
+
+    def _words(self, seconds: float, time: Time) -> str:
+        return time_of_day(time) if self._clock else f"{seconds:.4f} s"
 
     def _line(self, head: str, text: str, style: str) -> str:
         if self._columns is None:
@@ -297,17 +319,6 @@ class FrameLines:
         first, *others = textwrap.wrap(text, room, break_on_hyphens=False) or [""]
         lines = [head + first, *(" " * len(head) + each for each in others)]
         return "".join(f"{self._paint(line.rstrip(), style)}\n" for line in lines)
-
-
-def finding_text(finding: BusFinding) -> str:
-    """Return a finding in words, fit for a screen."""
-    likely = "" if finding.is_certain else " (likely)"
-    return f"{finding.rule}{likely}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
-
-
-def event_text(event: BusEvent) -> str:
-    """Return an event in words, fit for a screen."""
-    return f"{event.kind}: {f'node {event.node_id}: ' if event.node_id else ''}{clean(event.text)}"
 
 
 def _object_json(shown: ShownObject) -> dict[str, Any]:

@@ -33,11 +33,13 @@ LOOK: Final = 1.0
 class LineWriter:
     """See this module's text. left_out: how many lines were left out."""
 
-    def __init__(self, missing: Callable[[int], str], *, waits: bool) -> None:
-        """missing: makes the line that tells how many are missing. waits: for the reader, instead of leaving lines out."""
+    def __init__(self, missing: Callable[[int], str], *, waits: bool, clear: Callable[[], None] | None = None) -> None:
+        """missing: makes the line that tells how many are missing. waits: for the reader, instead of leaving lines out. clear: is
+        called before lines are written."""
         self.left_out = 0
         self._missing = missing
         self._waits = waits
+        self._clear = clear
         self._lines: deque[str] = deque()
         self._gap = 0
         self._in_hand = 0
@@ -99,6 +101,8 @@ class LineWriter:
             return
         taken = [self._lines.popleft() for _ in range(min(CHUNK, len(self._lines)))]
         self._in_hand = len(taken)
+        if self._clear is not None:
+            self._clear()
         await self._write("".join(taken))
         self._in_hand = 0
         self._has_room.set()
@@ -137,10 +141,12 @@ class LineWriter:
 
 
 @asynccontextmanager
-async def open_line_writer(screen: Screen, missing: Callable[[int], str], *, waits: bool) -> AsyncIterator[LineWriter]:
-    """Give a writer while the block runs, and write at its end what is left. Raises what the block raises, and OSError if the
-    reader has gone; both in a group."""
-    writer = LineWriter(missing, waits=waits)
+async def open_line_writer(
+    screen: Screen, missing: Callable[[int], str], *, waits: bool, clear: Callable[[], None] | None = None
+) -> AsyncIterator[LineWriter]:
+    """Give a writer while the block runs, and write at its end what is left; see LineWriter. Raises what the block raises, and
+    OSError if the reader has gone; both in a group."""
+    writer = LineWriter(missing, waits=waits, clear=clear)
     async with trio.open_nursery() as nursery:
         nursery.start_soon(writer.run)
         if not waits:

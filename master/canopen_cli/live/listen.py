@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 import trio
 
-from canopen_cli.bus.doctor import hear, heard_as_json, show_heard, status_of, try_bitrates
-from canopen_cli.live.clocks import StampClock
+from canopen_cli.bus.doctor import LISTEN, LISTENING, bitrates_too, hear, heard_as_json, show_heard, status_of, try_bitrates
 from canopen_cli.live.top_view import BusShown, TopView, as_json, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings, common, lasting
@@ -22,18 +21,18 @@ from canopen_proto.observer.observer import Observer
 from canopen_transports.diagnosis import bring_up
 from canopen_transports.locator import parse_locator
 from canopen_transports.receive_test import NO_WIRE
+from canopen_transports.stamp_clock import StampClock
 
 
 @click.command()
-@click.option("--bitrates", is_flag=True, help="Find the bit rate: listen at each in turn. Only with adapters that listen only.")
-@lasting("How long to listen; with --bitrates, also at each of them.  [default: 2s]", low=0.1, high=3600, default=2.0)
+@bitrates_too
+@lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
 @common
-@click.pass_obj
 def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
     """Hear who is on a bus, and with --bitrates find its bit rate. Nothing is sent.
 
     An adapter with a listen-only mode (pcan, slcan, kvaser, vector ...) does not even acknowledge frames. Exit status: 0 frames
-    were heard, 1 none, 4 faults on the bus.
+    were heard, 5 none, 4 faults on the bus; with --bitrates 1: at none of them were frames heard without errors.
 
     \b
     canopen listen -b pcan:PCAN_USBBUS1 --bitrates
@@ -58,7 +57,7 @@ def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
         now = clock.time_of(stamp, round(trio.current_time() * SECOND))
         view.add(frame, observer.observe(frame, now), now)
 
-    heard = run(settings, screen, lambda: hear(bus, seconds, each))
+    heard = run(settings, screen, lambda: hear(screen, bus, seconds, each))
     shown = TopView(bus, (BusShown(bus, view.figures(now), now, now, rate),))
     if screen.json_output:
         screen.json(heard_as_json(heard) | {"figures": as_json(shown)[0]})

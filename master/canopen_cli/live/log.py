@@ -11,28 +11,34 @@ import click
 import trio
 
 from canopen_cli.live import log_diff, log_export, log_plot, log_record
-from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing, event_text, finding_text
+from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosing
 from canopen_cli.live.monitor import FrameMonitor
-from canopen_cli.live.source import FILE_OR_INPUT, rate_of, reader_of, require_frames, tell_skipped
+from canopen_cli.live.reading import FileReading, watched
+from canopen_cli.live.source import FILE_OR_INPUT, frames_of, rate_of, reader_of, tell_skipped
+from canopen_cli.live.window import When, Window, clocked, time_of_day, windowed
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, commanding, common
 from canopen_cli.shared.problem import ExitCode, usage
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run, same_file
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.session import read_dictionary
+from canopen_master.monitor_words import event_text, finding_text
 from canopen_master.plain_text import json_text
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observer
 from canopen_proto.observer.story import KINDS, Story
 from canopen_transports import open_transport
-from canopen_transports.locator import bitrate_text
+from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
+from canopen_transports.receive_test import NO_WIRE
+from canopen_transports.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
@@ -55,20 +61,21 @@ for each in (log_record.record, log_export.export, log_plot.plot, log_diff.diff)
 @log.command()
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
+@windowed
 @common
-@click.pass_obj
-def convert(settings: Settings, source: Path, target: Path) -> int:
+def convert(settings: Settings, source: Path, target: Path, since: When | None, until: When | None) -> int:
     """Convert a log file to another kind, which the names tell. Records that this kind cannot hold are counted.
 
     \b
     canopen log convert trace.blf trace.log
+    canopen log convert trace.log short.log --since 12:00:05 --until 12:01:00
     """
     screen = settings.screen()
     if same_file(source, target):
         raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
     check_new_file(settings, screen, target)
     reader, kind = LogReader(source), kind_of(target)
-    records = iter(reader)
+    records = watched(screen, reader, records_in(reader, Window(since, until)))
     first = list(islice(records, 1))  # if the source cannot be read, an older target stays
     writer = log_writer(target)
     count = 0
@@ -78,11 +85,11 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
                 writer.write(record)
                 count += 1
     except LogFileError:
-        screen.say(f"what could be read, {count - writer.left_out} frames, is in {escape(str(target))}")
+        screen.say(f"what could be read, {counted(count - writer.left_out, 'frame')}, is in {escape(str(target))}")
         raise
     finally:
         writer.close()
-    screen.say(f"{count - writer.left_out} frames: [bold]{escape(str(target))}[/]")
+    screen.say(f"{counted(count - writer.left_out, 'frame')}: [bold]{escape(str(target))}[/]")
     if LOSSES[kind]:
         screen.say(f"[dim]{kind}: {LOSSES[kind]}[/]")
     tell_skipped(screen, reader)
@@ -90,7 +97,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
         counts = {"frames": count - writer.left_out, "left_out": writer.left_out, "skipped": reader.skipped}
         screen.json({"file": str(source), "output": str(target), **counts})
     if writer.left_out:
-        screen.say(f"[yellow]{writer.left_out} frames are left out[/]; .log holds them")
+        screen.say(f"[yellow]{counted(writer.left_out, 'frame')} left out[/]; .log holds them")
         return ExitCode.PARTIAL
     return ExitCode.OK
 
@@ -99,13 +106,18 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
 @click.argument("source", metavar="FILE", type=FILE)
 @click.option("--speed", default="1", show_default=True, metavar="FACTOR", help="10 is ten times as fast; max: without waiting.")
 @click.option("--only-sent", is_flag=True, help="Only what the recorder sent, such as a master's side.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@windowed
+@commanding
 @common
-@click.pass_obj
-def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> None:
+def replay(
+    settings: Settings, source: Path, speed: str, only_sent: bool, yes: bool, since: When | None, until: When | None
+) -> None:
     """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
 
     \b
-    canopen log replay trace.log -b socketcan:vcan0
+    canopen log replay trace.log -b socketcan:vcan0                  a bus with a wire asks first
+    canopen log replay trace.log -b can0 --since 12s --dry-run    what would be sent, in words; the bus is not opened
     """
     screen = settings.screen()
     bus = settings.required_bus("-b tcp                         the bus of `canopen bus serve`")
@@ -116,12 +128,17 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
     if factor is not None and not 0 < factor < 1e9:
         raise usage("CO001", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
     reader = LogReader(source)
+    if settings.dry_run:
+        _show_replay(settings, screen, (each for each in records_in(reader, Window(since, until)) if each.sent or not only_sent))
+        tell_skipped(screen, reader)
+        return
+    confirm(screen, f"send the frames of {source} on {bus}: DRIVES MAY MOVE", yes, needed=_may_have_drives(bus))
 
     async def play() -> int:
         count = 0
         async with await open_transport(bus) as transport:
             start, first = trio.current_time(), None
-            for record in reader:
+            for record in FileReading(screen, reader, records_in(reader, Window(since, until)), look_each=1):
                 first = record.time if first is None else first
                 if factor is not None:
                     await trio.sleep_until(start + (record.time - first) / SECOND / factor)
@@ -131,7 +148,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
         return count
 
     count = run(settings, screen, play, reads=source)
-    screen.say(f"{count} frames sent on {escape(bus)}")
+    screen.say(f"{counted(count, 'frame')} sent on {escape(bus)}")
     tell_skipped(screen, reader)
     if settings.json:
         screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
@@ -139,11 +156,16 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
 
 @log.command()
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
-@click.option("--bitrate", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
+@click.option("--bitrate", metavar="RATE", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
+@windowed
 @common
-@click.pass_obj
-def stats(settings: Settings, source: Path, bitrate: str) -> None:
-    """Count the frames of a file: number, rate and bus load of each CAN-ID."""
+def stats(settings: Settings, source: Path, bitrate: str, since: When | None, until: When | None) -> None:
+    """Count the frames of a file: number, rate and bus load of each CAN-ID.
+
+    \b
+    canopen log stats trace.log
+    canopen log stats trace.log --bitrate 1M --since 10s --until 20s
+    """
     screen = settings.screen()
     rate = rate_of(bitrate)
     reader, observer = reader_of(source), Observer()
@@ -151,7 +173,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
     first = last = None
-    for record in reader:
+    for record in watched(screen, reader, records_in(reader, Window(since, until))):
         frame = record.frame
         first = record.time if first is None else first
         last = max(record.time, first if last is None else last)
@@ -179,15 +201,18 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
     ]
     screen.table(columns, texts, right=columns[2:])
     per_second = _text(_per(total, seconds))
-    screen.data(f"{total} frames in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}")
+    screen.data(
+        f"{counted(total, 'frame')} in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}"
+    )
     tell_skipped(screen, reader)
 
 
 @log.command()
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @choosing
+@windowed
+@clocked
 @common
-@click.pass_obj
 def decode(
     settings: Settings,
     source: Path,
@@ -195,6 +220,9 @@ def decode(
     services: tuple[str, ...],
     objects: tuple[str, ...],
     changes: bool,
+    since: When | None,
+    until: When | None,
+    clock: bool,
 ) -> None:
     """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
 
@@ -205,14 +233,14 @@ def decode(
     \b
     canopen log decode trace.log
     canopen log decode trace.log -e 5=drive.eds --node 5 --service sdo
+    canopen log decode trace.log --clock --since 12:00:05 --until 12:00:06
     candump can0 | canopen log decode -
     """
     screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = FrameMonitor(settings, screen, choice, source)
+    watch = FrameMonitor(settings, screen, choice, source, Window(since, until), clock=clock)
     run(settings, screen, watch.show, reads=source)
     watch.tell_skipped()
-    watch.require_frames()
 
 
 @log.command()
@@ -226,16 +254,20 @@ def decode(
     type=click.FloatRange(1, 100),
     help="Of the load, in %.",
 )
+@windowed
+@clocked
 @common
-@click.pass_obj
-def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
+def check(
+    settings: Settings, source: Path, bitrate: str, limit: float, since: When | None, until: When | None, clock: bool
+) -> int:
     """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
 
     First the story, in the order of time: emergencies, drives in fault, boot-ups in the middle of operation, nodes that fell
     silent and came back, aborted SDO transfers. What repeats is told once, and counted. Then the findings: what is against the
     standard. "certain": nothing else can look like this. "likely": frames that are missing from the recording might.
 
-    Exit status 1 if anything was told but aborts: many programs ask for objects that a device may lack.
+    What stands before --since is looked at, and not told. Exit status 1 if anything was told but aborts: many programs ask for
+    objects that a device may lack.
 
     \b
     canopen log check trace.log
@@ -249,7 +281,23 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
     lines: list[str] = []  # of findings, which follow the story
     number = overruns = 0
-    for number, record in enumerate(reader, 1):
+    failure: LogFileError | None = None
+
+    def readable() -> Iterator[Record]:
+        nonlocal failure
+        try:
+            yield from frames_of(reader)
+        except LogFileError as error:  # what could be read is told: a recorder that was killed leaves half a line
+            failure = error
+
+    window, first, is_begun = Window(since, until), None, False
+    reading = FileReading(screen, reader, readable())
+    for number, record in enumerate(reading, 1):
+        first = record.time if first is None else first
+        is_in = window.has(record.time, first)
+        if is_begun and not is_in:
+            continue
+        is_begun = is_in
         if number % 256 == 0:
             screen.check_reader()
         lost = None
@@ -262,25 +310,33 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
         if story is None:
             story = stories[record.channel] = Story()
         events = story.add(record.frame, observation, record.time)
-        if not (events or findings):
+        if not is_in:
+            story.told.clear()
+            story.repeated.clear()
+        if not (is_in and (events or findings)):
             continue
+        at = f"{time_of_day(record.time):>12}" if clock else f"{seconds:12.6f}"
         where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
+        reading.clear()
         for event in events:
             if settings.json:
                 told = {"event": event.kind, "node_id": event.node_id, "text": event.text}
                 screen.out.out(json_text(where | told), highlight=False)
             else:
-                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {event_text(event)}", highlight=False)
+                screen.out.out(f"{at} {record.frame!s:<25} {event_text(event)}", highlight=False)
         for finding in findings:
             counts[finding.rule, finding.is_certain] += 1
             if settings.json:
                 screen.out.out(json_text(where | finding._asdict()), highlight=False)
                 continue
-            line = f"{seconds:12.6f} {record.frame!s:<25} {finding_text(finding)}"
+            line = f"{at} {record.frame!s:<25} {finding_text(finding)}"
             if finding.rule == "boot-up":
                 screen.out.out(line, highlight=False)
             elif len(lines) < MAX_LINES:
                 lines.append(line)
+    if failure is not None and not number:
+        raise failure
+    window.require(source)
     for line in lines:
         screen.out.out(line, highlight=False)
     total = sum(counts.values())
@@ -289,8 +345,8 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
         screen.out.out(f"... and {counted(left_out, 'finding')} more", highlight=False)
     events_told = _summed(story.told for story in stories.values())
     repeated = _summed(story.repeated for story in stories.values())
-    for kind in sorted(events_told):
-        again = f", and {repeated[kind]} times more" if repeated[kind] else ""
+    for kind in sorted(events_told.keys() | repeated.keys()):
+        again = f", and {counted(repeated[kind], 'time')} more" if repeated[kind] else ""
         screen.say(f"{events_told[kind]:>7} x [bold]{kind}[/]: {KINDS[kind]}{again}")
     for (rule, is_certain), count in sorted(counts.items()):
         screen.say(f"{count:>7} x [bold]{rule}[/]{'' if is_certain else ' (likely)'}: {RULES[rule]}")
@@ -300,8 +356,36 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
         totals.append(f"{counted(total, 'finding')}{f' ({total - likely} certain, {likely} likely)' if likely else ''}")
     screen.say(f"{counted(number, 'frame')}, {', '.join(totals) or 'no findings'}")
     tell_skipped(screen, reader)
-    require_frames(reader, str(source), number)
+    if failure is not None:
+        raise failure
     return ExitCode.DIFFERENT if counts or events_told.keys() - {"abort"} else ExitCode.OK
+
+
+def _may_have_drives(bus: str) -> bool:
+    """Return whether a bus has a wire. Those in software are for trying things out."""
+    locator = parse_locator(bus)
+    return locator.interface not in (*NO_WIRE, "file") and not locator.channel.startswith("vcan")
+
+
+def _show_replay(settings: Settings, screen: Screen, records: Iterable[Record]) -> None:
+    """Show the frames that would be sent, each in words."""
+    lines, buses, count = FrameLines(screen), Buses(NodeFiles(settings, screen, read_dictionary(screen))), 0
+    for count, record in enumerate(records, 1):
+        if count % 256 == 0:
+            screen.check_reader()
+        seconds, observation = buses.observe(record)
+        screen.out.out(lines.frame(seconds, record, observation).rstrip("\n"), highlight=False)
+    screen.say(f"{counted(count, 'frame')} would be sent; nothing was sent (--dry-run)")
+
+
+def records_in(reader: LogReader, window: Window) -> Iterator[Record]:
+    """Yield the records of a part of a recording."""
+    first: int | None = None
+    for record in frames_of(reader):
+        first = record.time if first is None else first
+        if window.has(record.time, first):
+            yield record
+    window.require(reader.path)
 
 
 def _summed(counts: Iterable[dict[str, int]]) -> Counter[str]:

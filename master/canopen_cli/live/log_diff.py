@@ -8,8 +8,10 @@ from typing import Any, Final, NamedTuple
 
 import click
 
-from canopen_cli.live.log_values import Choosing, LoggedValue, Window, values_in
-from canopen_cli.live.source import reader_of
+from canopen_cli.live.log_values import Choosing, LoggedValue, values_in
+from canopen_cli.live.reading import watched
+from canopen_cli.live.source import frames_of, reader_of
+from canopen_cli.live.window import When, Window, windowed
 from canopen_cli.shared.options import NodeIds, Settings, common
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -45,17 +47,26 @@ class Traffic(NamedTuple):
 @click.option(
     "--rate", type=click.FloatRange(0), default=20.0, metavar="PERCENT", help="By how much rates may differ.  [default: 20]"
 )
+@windowed
 @common
-@click.pass_obj
-def diff(settings: Settings, one: Path, other: Path, nodes: tuple[int, ...] | None, rate: float) -> int:
+def diff(
+    settings: Settings,
+    one: Path,
+    other: Path,
+    nodes: tuple[int, ...] | None,
+    rate: float,
+    since: When | None,
+    until: When | None,
+) -> int:
     """Compare two recordings: CAN-IDs that only one has, rates, and the last values of objects. Exit status: 1 with differences.
+    --since and --until are those of each recording.
 
     \b
     canopen log diff before.log after.log
     canopen log diff good.log bad.log -e 5=drive.eds --node 5
     """
     screen = settings.screen()
-    first, second = (_traffic(settings, screen, each, nodes) for each in (one, other))
+    first, second = (_traffic(settings, screen, each, nodes, Window(since, until)) for each in (one, other))
     found = [*_rates(first, second, rate / 100), *_values(first, second)]
     if settings.json:
         screen.json({"one": str(one), "other": str(other), "differences": [each._asdict() for each in found]})
@@ -65,13 +76,18 @@ def diff(settings: Settings, one: Path, other: Path, nodes: tuple[int, ...] | No
     return ExitCode.DIFFERENT if found else ExitCode.OK
 
 
-def _traffic(settings: Settings, screen: Screen, source: Path, nodes: tuple[int, ...] | None) -> Traffic:
+def _traffic(settings: Settings, screen: Screen, source: Path, nodes: tuple[int, ...] | None, window: Window) -> Traffic:
     counts: Counter[str] = Counter()
     names: dict[str, str] = {}
     observer = Observer()
-    first = last = None
-    for record in reader_of(source):
+    first: int | None = None
+    begun = last = None
+    reader = reader_of(source)
+    for record in watched(screen, reader, frames_of(reader)):
         first = record.time if first is None else first
+        if not window.has(record.time, first):
+            continue
+        begun = record.time if begun is None else begun
         last = record.time
         key = str(record.frame).partition("#")[0]
         counts[key] += 1
@@ -79,8 +95,8 @@ def _traffic(settings: Settings, screen: Screen, source: Path, nodes: tuple[int,
             meaning = observer.observe(record.frame, record.time - first).meaning
             service = "heartbeat" if meaning.service == "boot-up" else meaning.service
             names[key] = f"{service} of node {meaning.node_id}" if meaning.node_id else service
-    seconds = max((last or 0) - (first or 0), SECOND) / SECOND
-    values = {value.label: value for value in values_in(settings, screen, source, Choosing(nodes, (), (), False, Window()))}
+    seconds = max((last or 0) - (begun or 0), SECOND) / SECOND
+    values = {value.label: value for value in values_in(settings, screen, source, Choosing(nodes, (), (), False, window))}
     return Traffic({key: count / seconds for key, count in counts.items()}, names, values)
 
 

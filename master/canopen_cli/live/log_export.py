@@ -12,8 +12,9 @@ from typing import IO, Any, Final
 import click
 
 from canopen_cli.live.frame_lines import choosing
-from canopen_cli.live.log_values import Choosing, LoggedValue, Window, values_in, windowed
+from canopen_cli.live.log_values import Choosing, LoggedValue, values_in
 from canopen_cli.live.source import FILE_OR_INPUT
+from canopen_cli.live.window import When, Window, windowed
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import usage
@@ -37,7 +38,6 @@ ROWS: Final = 65_536
 @choosing
 @windowed
 @common
-@click.pass_obj
 def export(
     settings: Settings,
     source: Path,
@@ -47,8 +47,8 @@ def export(
     services: tuple[str, ...],
     objects: tuple[str, ...],
     changes: bool,
-    since: float | datetime.datetime | None,
-    until: float | datetime.datetime | None,
+    since: When | None,
+    until: When | None,
 ) -> None:
     """Write the values in a recording into a table: those of PDOs and SDO transfers. Times are those of the recording, in UTC.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
 
-from canopen_cli.live.log_values import Choosing, Window, values_in, windowed
+from canopen_cli.live.log_values import Choosing, values_in
 from canopen_cli.live.source import FILE_OR_INPUT
+from canopen_cli.live.window import When, Window, windowed
 from canopen_cli.plot.cycles import INK, check_plot, save, style, write_titles
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import NodeIds, Settings, common
@@ -35,15 +35,14 @@ class Curve(NamedTuple):
 @click.option("--node", "nodes", type=NodeIds(), help="Only of these nodes: 5, or 3-8.")
 @windowed
 @common
-@click.pass_obj
 def plot(
     settings: Settings,
     source: Path,
     objects: tuple[str, ...],
     output: Path | None,
     nodes: tuple[int, ...] | None,
-    since: float | datetime.datetime | None,
-    until: float | datetime.datetime | None,
+    since: When | None,
+    until: When | None,
 ) -> None:
     """Draw the values of objects in a recording over time: each in a row of its own, as a step from value to value.
 

@@ -20,6 +20,7 @@ from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.session import read_dictionary
+from canopen_cli.shared.time_left import time_left
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.record import LogWriter, Record
@@ -37,7 +38,6 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 @click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files stay; the oldest is deleted.")
 @lasting()
 @common
-@click.pass_obj
 def record(
     settings: Settings,
     target: Path,
@@ -48,10 +48,10 @@ def record(
     rotate: Time | None,
     keep: int | None,
     seconds: float | None,
-) -> None:
+) -> int:
     """Write what passes on a bus into a file, until Ctrl-C. Nothing is sent.
 
-    The ending tells the kind: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.
+    The ending tells the kind: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng. Exit status 5: no frame at all was heard.
 
     \b
     canopen log record trace.log -b can0
@@ -74,8 +74,9 @@ def record(
 
     async def listen() -> None:
         try:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
-                await _record(settings, screen, choice, files)
+            async with time_left(screen, "recording", seconds):
+                with trio.move_on_after(math.inf if seconds is None else seconds):
+                    await _record(settings, screen, choice, files)
         finally:
             files.close()
 
@@ -84,19 +85,24 @@ def record(
         screen.json({"files": [str(each) for each in files.written], "frames": files.frames, "left_out": files.left_out})
     names = ", ".join(str(each) for each in files.written) or "no file"
     screen.say(f"{counted(files.frames, 'frame')}: [bold]{escape(names)}[/]")
+    if not files.heard:
+        screen.say("[yellow]no frame at all was heard[/]")
+        return ExitCode.NO_ANSWER
     if files.left_out:
         raise CommandError(
             ExitCode.BAD_FILE, "CO343", f"{counted(files.left_out, 'frame')} could not be kept in {target.suffix}",
             seen=LOSSES.get(target.suffix.lower(), ""), tries=("a file that ends in .log holds all",),
         )  # fmt: skip
+    return ExitCode.OK
 
 
 class _Files:
-    """The file, or one after the other. written: those that are there. frames: in all of them."""
+    """The file, or one after the other. written: those that are there. frames: in all of them. heard: how many came."""
 
     def __init__(self, target: Path, rotate: Time | None, keep: int | None) -> None:
         self.written: list[Path] = []
         self.frames = 0
+        self.heard = 0
         self.left_out = 0
         self._target = target
         self._rotate = rotate
@@ -143,6 +149,7 @@ async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files
             if not isinstance(heard, Record):
                 screen.say(f"[yellow]{escape(heard.failed)}: {escape(heard.seen)}[/]")
                 continue
+            files.heard += 1
             _, observation = buses.observe(heard)
             if choice.shows(heard, observation):
                 files.write(heard)

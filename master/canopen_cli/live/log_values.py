@@ -2,82 +2,24 @@
 
 from __future__ import annotations
 
-import datetime
 import math
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
-
-import click
+from typing import Any, NamedTuple
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice
-from canopen_cli.live.source import reader_of, require_frames, tell_skipped
+from canopen_cli.live.reading import watched
+from canopen_cli.live.source import frames_of, reader_of, tell_skipped
+from canopen_cli.live.window import Window
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Kind, Settings
+from canopen_cli.shared.options import Settings
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import read_dictionary
 from canopen_cli.shared.values import physical, plain_json
-from canopen_data.durations import parse_duration
-from canopen_proto.machine import SECOND, Time
+from canopen_proto.machine import Time
 from canopen_proto.observer.meaning import ShownObject
 from canopen_transports.record import Record
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-_PLAIN: Final = re.compile(r"[0-9]*\.?[0-9]+")
-
-
-class Moment(Kind):
-    """A time in a recording: "12.5" or "12.5s" behind its first frame, or by the clock: "2026-03-01T12:00:05"."""
-
-    name = "moment"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | datetime.datetime:
-        if isinstance(value, float | datetime.datetime):
-            return value
-        text = str(value).strip()
-        try:
-            if _PLAIN.fullmatch(text):
-                return float(text)
-            if "-" in text or "T" in text:
-                moment = datetime.datetime.fromisoformat(text)
-                return moment if moment.tzinfo is not None else moment.astimezone()
-            return parse_duration(text) / SECOND
-        except (ValueError, OSError):
-            self.fail(
-                f"{value!r} is neither a time behind the first frame (12.5s) nor one by the clock (2026-03-01T12:00:05)",
-                param,
-                ctx,
-            )
-
-
-class Window(NamedTuple):
-    """From when to when; None: from the beginning, to the end."""
-
-    since: float | datetime.datetime | None = None
-    until: float | datetime.datetime | None = None
-
-    def has(self, time: Time, first: Time) -> bool:
-        """Return whether a record is in it. time: its own; first: that of the first record, both in ns."""
-        return self._at(self.since, first, -math.inf) <= time <= self._at(self.until, first, math.inf)
-
-    @staticmethod
-    def _at(moment: float | datetime.datetime | None, first: Time, default: float) -> float:
-        if moment is None:
-            return default
-        return first + moment * SECOND if isinstance(moment, float) else moment.timestamp() * SECOND
-
-
-def windowed(command: F) -> F:
-    """Add the options for a part of a recording. The command takes `since` and `until`."""
-    for name, text in (
-        ("--until", "Only what is before this time."),
-        ("--since", "Only from then on: 12.5s behind the first frame, or 2026-03-01T12:00:05."),
-    ):
-        command = click.option(name, type=Moment(), help=text)(command)
-    return command
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +66,8 @@ def values_in(settings: Settings, screen: Screen, source: Path, wanted: Choosing
     choice = FrameChoice(files, *wanted[:4])
     reader, buses = reader_of(source), Buses(files)
     first: Time | None = None
-    frames = 0
-    for record in reader:
+    for record in watched(screen, reader, frames_of(reader)):
         first = record.time if first is None else first
-        frames += 1
         seconds, observation = buses.observe(record)
         if not (wanted.window.has(record.time, first) and choice.shows(record, observation)):
             continue
@@ -137,5 +77,5 @@ def values_in(settings: Settings, screen: Screen, source: Path, wanted: Choosing
                 variable = files.dictionary_of(shown.node_id).get(shown.index, shown.subindex) if shown.node_id else None
                 number = None if variable is None else physical(variable, shown.value)
                 yield LoggedValue(record, seconds, meaning.service, shown, number, "" if variable is None else variable.unit)
-    require_frames(reader, str(source), frames)
+    wanted.window.require(source)
     tell_skipped(screen, reader)

@@ -11,11 +11,12 @@ import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosing
 from canopen_cli.live.line_writer import LineWriter, open_line_writer
-from canopen_cli.live.source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, require_frames, tell_skipped
+from canopen_cli.live.source import Heard, LiveSource, no_file, open_live_source, recorded, tell_skipped
+from canopen_cli.live.window import Window, clocked
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.problem import ExitCode
-from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.session import read_dictionary
 from canopen_proto.machine import SECOND, Time
@@ -29,11 +30,12 @@ LATE: Final = SECOND // 4
 
 
 @click.command()
-@click.argument("source", metavar="[FILE]", type=FILE_OR_INPUT, required=False)
+@no_file
+@recorded
 @choosing
+@clocked
 @lasting()
 @common
-@click.pass_obj
 def monitor(
     settings: Settings,
     source: Path | None,
@@ -41,29 +43,30 @@ def monitor(
     services: tuple[str, ...],
     objects: tuple[str, ...],
     changes: bool,
+    clock: bool,
     seconds: float | None,
 ) -> int:
     """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
 
-    With a FILE it shows a recording in place of a bus; - is standard input. PDOs are shown by the mapping that was heard, else by
-    the devices' own files, else by PDOs.csv. A line that begins with ! says what is wrong with the frame before it. A line that
-    begins with = sums up frames before it: a fastscan (-v shows its frames), or what a node was told behind its boot-up.
+    PDOs are shown by the mapping that was heard, else by the devices' own files, else by PDOs.csv. A line that begins with ! says
+    what is wrong with the frame before it. A line that begins with = sums up frames before it: a fastscan (-v shows its frames),
+    or what a node was told behind its boot-up.
 
     \b
     canopen monitor -b demo
     canopen monitor -b can0 --node 5 --service sdo,emcy
     canopen monitor -b can0 -e 5=drive.eds --object statusword --changes
-    candump can0 | canopen monitor -
+    canopen monitor --log trace.log                      a recording, as canopen log decode shows it
+    candump can0 | canopen monitor --log -
     """
     screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = FrameMonitor(settings, screen, choice, source)
+    watch = FrameMonitor(settings, screen, choice, source, clock=clock)
 
     async def show() -> None:
         try:
             with trio.move_on_after(math.inf if seconds is None else seconds):
                 await watch.show()
-                watch.require_frames()
         finally:
             watch.tell_counts()
 
@@ -74,7 +77,19 @@ def monitor(
 class FrameMonitor:
     """The frames of a source on the screen, and their counts. source: a recording; None: the bus of the options."""
 
-    def __init__(self, settings: Settings, screen: Screen, choice: FrameChoice, source: Path | None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        screen: Screen,
+        choice: FrameChoice,
+        source: Path | None,
+        window: Window | None = None,
+        *,
+        clock: bool = False,
+    ) -> None:
+        """window: what is shown of a recording; all of it is understood. clock: times of day in place of seconds."""
+        self._window = Window() if window is None else window
+        self._clock = clock
         self._settings = settings
         self._screen = screen
         self._choice = choice
@@ -91,29 +106,28 @@ class FrameMonitor:
 
         Raises what LiveSource raises, and OSError if the reader of the output has gone.
         """
-        lines = FrameLines(self._screen)
-        try:
-            async with (
-                open_live_source(self._settings, self._source) as live,
-                open_line_writer(self._screen, lines.gap, waits=not live.is_live) as writer,
-            ):
-                self._live, self._writer = live, writer
-                if live.is_live:
-                    self._begin = live.now()
-                    how = "the adapter only listens" if live.is_silent else "nothing is sent"
-                    self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
-                buses = Buses(self._choice.files, bitrate=live.bitrate or self._settings.told_bitrate() or 0)
-                while (taken := await _next(live)) != []:
-                    lines.measure()
-                    for heard in taken or ():
-                        await self._tell(heard, buses, lines, writer)
-                    if taken is None:
-                        await self._tell_silence(live.now() - LATE, buses, lines, writer)
-                for channel, summary in buses.unfinished():
-                    if self._choice.tells(summary):
-                        await writer.put(lines.summary(live.now(), channel, summary))
-        except ExceptionGroup as group:
-            raise first_of(group) from None
+        lines = FrameLines(self._screen, clock=self._clock)
+        async with (
+            first_error(),
+            open_live_source(self._settings, self._source, self._screen) as live,
+            open_line_writer(self._screen, lines.gap, waits=not live.is_live, clear=live.clear) as writer,
+        ):
+            self._live, self._writer = live, writer
+            if live.is_live:
+                self._begin = live.now()
+                how = "the adapter only listens" if live.is_silent else "nothing is sent"
+                self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
+            buses = Buses(self._choice.files, bitrate=live.bitrate or self._settings.told_bitrate() or 0)
+            while (taken := await _next(live)) != []:
+                lines.measure()
+                for heard in taken or ():
+                    await self._tell(heard, buses, lines, writer)
+                if taken is None:
+                    await self._tell_silence(live.now() - LATE, buses, lines, writer)
+            for channel, summary in buses.unfinished():
+                if self._choice.tells(summary):
+                    await writer.put(lines.summary(live.now(), channel, summary))
+            self._window.require(live.name)
 
     async def _tell(self, heard: Heard, buses: Buses, lines: FrameLines, writer: LineWriter) -> None:
         if isinstance(heard, Record):
@@ -121,6 +135,8 @@ class FrameMonitor:
                 self._begin = heard.time
             self._frames += 1
             seconds, observation = buses.observe(heard)
+            if not self._window.has(heard.time, self._begin):
+                return
             self._findings += len(observation.findings)
             for summary in observation.summaries:
                 if self._choice.tells(summary):
@@ -143,8 +159,8 @@ class FrameMonitor:
                 await writer.put(lines.summary(time, channel, summary))
 
     def tell_counts(self) -> None:
-        """Tell what was heard and shown, if anything was opened."""
-        if self._live is None or self._writer is None:
+        """Tell what was heard and shown. Of a recording without a frame its error says all."""
+        if self._live is None or self._writer is None or not (self._frames or self._live.is_live):
             return
         seconds = 0.0 if self._begin is None else (self._live.now() - self._begin) / SECOND
         parts = [f"{counted(self._frames, 'frame')} in {seconds:.1f} s"]
@@ -162,11 +178,6 @@ class FrameMonitor:
     def has_heard_nothing(self) -> bool:
         """Whether no frame came from a bus."""
         return self._live is not None and self._live.is_live and not self._frames
-
-    def require_frames(self) -> None:
-        """Raise a CommandError if nothing in the recording was a frame."""
-        if self._live is not None and not self._live.is_live:
-            require_frames(self._live, self._live.name, self._frames)
 
     def tell_skipped(self) -> None:
         """Tell what in the recording was no frame."""

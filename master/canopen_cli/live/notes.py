@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_cli.live.clocks import FrameClock
-from canopen_cli.live.source import LiveSource
+from canopen_cli.live.source import LiveSource, skipped_text
 from canopen_cli.shared.screen import counted
 from canopen_transports.errors import BusState
 
@@ -22,7 +22,7 @@ def note_state(notes: dict[str, str], state: BusState, reason: str) -> None:
 def note_lost(notes: dict[str, str], lost: int) -> None:
     """Note how many frames were lost."""
     if lost:
-        notes["lost"] = f"{counted(lost, 'frame')} were lost before they were seen: this computer is too slow"
+        notes["lost"] = f"{counted(lost, 'frame')} lost before they were seen: this computer is too slow"
 
 
 def note_source(notes: dict[str, str], source: LiveSource | None, clock: FrameClock) -> None:
@@ -30,8 +30,6 @@ def note_source(notes: dict[str, str], source: LiveSource | None, clock: FrameCl
     if source is not None:
         note_lost(notes, source.lost)
         if source.skipped:
-            notes["skipped"] = (
-                f"{source.skipped} {'entry' if source.skipped == 1 else 'entries'} passed over, the last: {source.last_skip}"
-            )
+            notes["skipped"] = skipped_text(source)
     if clock.jumps:
         notes["clock"] = f"the clock of the frames went back {counted(clock.jumps, 'time')}; time goes on from there"

@@ -3,7 +3,7 @@
 The picture has a screen of its own: what stood on the terminal comes back when it ends, however it ends. p holds it, which the
 picture says; what happens meanwhile is not lost. Each picture is drawn for the size that the terminal has then.
 
-Keys come from the terminal even if standard input is a pipe (`ssh ... candump | canopen top -`).
+Keys come from the terminal even if standard input is a pipe (`ssh ... candump | canopen top --log -`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ import trio
 from rich.console import Console, RenderableType
 from rich.live import Live
 
-from canopen_cli.shared.running import first_of
+from canopen_cli.shared.running import first_error
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.terminal_keys import END, TerminalKeys, key_by_key, read_terminal
+from canopen_transports.loop.beside import beside
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -58,17 +59,12 @@ class LiveScreen(Generic[S]):
         """Show the picture while `work` runs. Returns its result; None if a key ended it. Raises what it raises."""
         results: list[T] = []
         with _terminal() as terminal, _own_screen(self._console) as live:
-            try:
-                async with trio.open_nursery() as nursery:
-                    nursery.start_soon(self._paint, live)
-                    if terminal is not None:
-                        nursery.start_soon(
-                            self._follow_keys, TerminalKeys(partial(read_terminal, terminal)), nursery.cancel_scope
-                        )
-                    results.append(await work())
-                    nursery.cancel_scope.cancel()
-            except ExceptionGroup as group:
-                raise first_of(group) from None
+            async with first_error(), beside(trio.open_nursery()) as nursery:
+                nursery.start_soon(self._paint, live)
+                if terminal is not None:
+                    keys = TerminalKeys(partial(read_terminal, terminal))
+                    nursery.start_soon(self._follow_keys, keys, nursery.cancel_scope)
+                results.append(await work())
         return results[0] if results else None
 
     async def _paint(self, live: Live) -> None:

@@ -4,8 +4,8 @@
         async for heard in live:
             if isinstance(heard, Record): ...
 
-`canopen monitor`, `watch` and `top` read it, so that each shows a bus and a recording alike. On a bus it sends nothing, and
-where the adapter can, it listens only.
+`canopen monitor`, `watch`, `top` and `emcy watch` read it, so that each shows a bus and a recording alike: they take a recording
+by `--log FILE` (`recorded`). On a bus it sends nothing, and where the adapter can, it listens only.
 
 A frame of a bus gets the time stamp of its transport, moved to the system's clock: the stamp is not late when this process is. A
 recorded frame keeps its own time.
@@ -20,18 +20,19 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Generator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing, contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final, TypeAlias, cast
+from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import click
 import trio
 
-from canopen_cli.live.clocks import StampClock, trio_now
-from canopen_cli.shared.options import DEMO, Settings
+from canopen_cli.live.clocks import trio_now
+from canopen_cli.live.reading import FileReading
+from canopen_cli.shared.options import DEMO, Settings, option_group
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
-from canopen_cli.shared.screen import Screen, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES, simulated_drives
 from canopen_proto.machine import Time
 from canopen_transports import open_transport
@@ -40,6 +41,7 @@ from canopen_transports.locator import parse_bitrate, parse_locator
 from canopen_transports.log_files import LogFileError, LogReader
 from canopen_transports.receive_test import NO_WIRE, silently
 from canopen_transports.record import Record
+from canopen_transports.stamp_clock import StampClock
 from canopen_transports.transport import BatchTransport, RatedTransport, Transport
 
 if TYPE_CHECKING:
@@ -48,6 +50,34 @@ if TYPE_CHECKING:
 FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
 """The argument of a command that takes a log file, or - for standard input."""
 INPUT: Final = Path("-")
+INPUT_NAME: Final = "standard input"
+
+
+class _NoFile(click.Argument):
+    """The place where a recording once stood as an argument: a word there is refused, with what to type."""
+
+    def get_usage_pieces(self, ctx: click.Context) -> list[str]:
+        return []
+
+
+def _refused(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
+    """Name the options, if a recording is given as an argument."""
+    if value is None:
+        return
+    tries = [f"--log {value}    (if it is a recording)", *([f"-b {value}    (if it is a bus)"] if value != "-" else ())]
+    raise usage("CO001", f"{ctx.command_path} takes no {value!r} as an argument", tries=tries)
+
+
+recorded: Final = option_group(
+    click.option("--log", "source", metavar="FILE", type=FILE_OR_INPUT, help="A recording in place of the bus; - is stdin."),
+)
+"""The option by which all commands of a bus take a recording in its place. The command takes `source`: Path | None."""
+
+
+def no_file(command: Any) -> Any:
+    """Add the refusal of a recording as an argument, to a command that has no arguments."""
+    return click.argument("word", required=False, cls=_NoFile, expose_value=False, callback=_refused)(command)
+
 
 Heard: TypeAlias = Record | Report
 """A frame; or, from a bus, the report of a loss or of the bus's state, at its place among the frames."""
@@ -91,12 +121,16 @@ class LiveSource(ABC):
     async def take(self) -> list[Heard]:
         """Wait until there is something; return 1 to BATCH frames and reports in order, or nothing at the end of a recording.
 
-        Raises LogFileError for a damaged file, after all that can be read; TransportError for a bus that fails.
+        Raises LogFileError for a damaged file, after all that can be read; CommandError for a recording without a frame;
+        TransportError for a bus that fails.
         """
 
     def now(self) -> Time:
         """Return the present, in ns on the clock of the frames: in a recording the time of the last frame that was taken."""
         return self._last
+
+    def clear(self) -> None:  # noqa: B027 - a bus has none
+        """Take the bar away that shows how far a recording is read: a line comes."""
 
     @property
     def skipped(self) -> int:
@@ -108,13 +142,14 @@ class LiveSource(ABC):
 
 
 @asynccontextmanager
-async def open_live_source(settings: Settings, source: Path | None) -> AsyncIterator[LiveSource]:
-    """Open the file, or the bus of the options if there is none, while the block runs. source: - is standard input.
+async def open_live_source(settings: Settings, source: Path | None, screen: Screen | None = None) -> AsyncIterator[LiveSource]:
+    """Open the file, or the bus of the options if there is none, while the block runs. source: - is standard input. screen: where
+    to show how far a file is read; None for a picture that fills the screen.
 
     Raises CommandError, TransportError, LogFileError.
     """
     if source is not None:
-        with _open_recording(source) as recording:
+        with _open_recording(source, screen) as recording:
             yield recording
         return
     bus = settings.required_bus()
@@ -138,14 +173,25 @@ def rate_of(text: str) -> int:
 def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
     """Tell how many entries of a recording were no frames, if any."""
     if source.skipped:
-        screen.say(f"[yellow]{source.skipped} entries passed over, the last: {escape(source.last_skip)}[/]")
+        screen.say(f"[yellow]{escape(skipped_text(source))}[/]")
 
 
-def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> None:
-    """Raise a CommandError if a recording has entries, and none of them is a frame: silence would look like a bus without
-    faults. name: of the recording, for the text."""
-    if source.skipped and not frames:
-        raise CommandError(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
+def skipped_text(source: LogReader | LiveSource) -> str:
+    """Return how many entries of a recording were no frames, and why the last was not."""
+    return f"{counted(source.skipped, 'entry')} passed over, the last: {source.last_skip}"
+
+
+def frames_of(reader: LogReader) -> Generator[Record]:
+    """Yield the frames of a recording, as all commands read it.
+
+    Raises a CommandError if there was none: silence would look like a bus without faults.
+    """
+    record = None
+    for record in reader:
+        yield record
+    if record is None:
+        seen = skipped_text(reader) if reader.skipped else "it is empty"
+        raise CommandError(ExitCode.BAD_FILE, "CO342", f"there is no frame in {reader.path}", seen=seen)
 
 
 class _BusSource(LiveSource):
@@ -186,10 +232,12 @@ class _BusSource(LiveSource):
 class _Recording(LiveSource):
     """A log file: read between the turns of other tasks."""
 
-    def __init__(self, reader: LogReader) -> None:
+    def __init__(self, reader: LogReader, screen: Screen | None) -> None:
         super().__init__(str(reader.path))
         self._reader = reader
-        self._records = iter(reader)
+        self._read = frames_of(reader)
+        self._reading = None if screen is None else FileReading(screen, reader, self._read)
+        self._records = self._read if self._reading is None else iter(self._reading)
         self._failure: Exception | None = None
 
     async def take(self) -> list[Heard]:
@@ -202,7 +250,7 @@ class _Recording(LiveSource):
     def _next(self) -> Record | None:
         try:
             return next(self._records, None)
-        except LogFileError as error:  # told after all records before it
+        except (LogFileError, CommandError) as error:  # told after all records before it
             self._failure = error
             return None
 
@@ -213,9 +261,14 @@ class _Recording(LiveSource):
             raise self._failure
         return [*found]
 
+    def clear(self) -> None:
+        if self._reading is not None:
+            self._reading.clear()
+
     def close(self) -> None:
         """Close the file."""
         self._records.close()
+        self._read.close()
 
     @property
     def skipped(self) -> int:
@@ -230,7 +283,7 @@ class _Stream(_Recording):
     """Standard input, which may make its reader wait: a thread reads it, at most AHEAD frames before they are taken."""
 
     def __init__(self, reader: LogReader) -> None:
-        super().__init__(reader)
+        super().__init__(reader, None)
         self._ready: deque[Record] = deque()
         self._room = threading.Semaphore(AHEAD)
         self._is_over = False
@@ -254,7 +307,7 @@ class _Stream(_Recording):
         self._room.release()
 
     def _run(self) -> None:
-        with suppress(trio.RunFinishedError), closing(self._records):  # the run has ended: nobody takes any more
+        with suppress(trio.RunFinishedError), closing(self._read):  # the run has ended: nobody takes any more
             while not self._is_over and (record := self._next()) is not None:
                 self._room.acquire()
                 self._ready.append(record)
@@ -267,15 +320,15 @@ class _Stream(_Recording):
 
 
 @contextmanager
-def _open_recording(source: Path) -> Iterator[_Recording]:
+def _open_recording(source: Path, screen: Screen | None) -> Iterator[_Recording]:
     recording: _Recording
     if source != INPUT:
-        recording = _Recording(_reader_of_file(source))
+        recording = _Recording(_reader_of_file(source), screen)
     elif _waits(sys.stdin):  # a handle of our own: at the end Python would wait for a thread that reads its own
         stream = open(sys.stdin.fileno(), "rb", closefd=False)  # noqa: SIM115 - the thread may read as long as the process lives
-        recording = _Stream(LogReader(Path("standard input"), stream))
+        recording = _Stream(LogReader(Path(INPUT_NAME), stream))
     else:
-        recording = _Recording(reader_of(INPUT))
+        recording = _Recording(reader_of(INPUT), screen)
     try:
         yield recording
     finally:
@@ -285,7 +338,7 @@ def _open_recording(source: Path) -> Iterator[_Recording]:
 def reader_of(source: Path) -> LogReader:
     """Return a reader of a log file; of standard input for -."""
     if source == INPUT:
-        return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
+        return LogReader(Path(INPUT_NAME), cast("BufferedReader", sys.stdin.buffer))
     return LogReader(source)
 
 

@@ -15,7 +15,7 @@ from rich.console import RenderableType
 from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_source, note_state
 from canopen_cli.live.screen import LiveScreen
-from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source, rate_of
+from canopen_cli.live.source import LiveSource, no_file, open_live_source, rate_of, recorded
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, common, lasting
@@ -23,6 +23,7 @@ from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import read_dictionary
+from canopen_cli.shared.time_left import time_left
 from canopen_proto.machine import Time
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
@@ -39,23 +40,23 @@ MAX_BUSES: Final = 16
 
 
 @click.command()
-@click.argument("source", metavar="[FILE]", required=False, type=FILE_OR_INPUT)
+@no_file
+@recorded
 @click.option("--once", is_flag=True, help=f"Print one table, and end. Of a bus after {LISTENING:g} s, or --for.")
 @click.option("--sort", type=click.Choice(list(SORTS)), default="node", show_default=True, help="The order of the nodes.")
 @click.option("--bitrate", metavar="RATE", default="", help="For the load, where the bus does not tell it: 1M, 250k.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
 @common
-@click.pass_obj
 def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate: str, seconds: float | None) -> None:
     """Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong. Nothing is sent.
 
     On a terminal the picture fills the screen, until q or Ctrl-C; p holds it, s sorts, b shows the next bus of a file. In a pipe,
-    and with --once or --json, it is printed once. A FILE is a log or a capture file; - is standard input.
+    and with --once or --json, it is printed once.
 
     \b
     canopen top -b socketcan:can0
-    canopen top trace.log
-    ssh gateway candump -L can0 | canopen top -
+    canopen top --log trace.log
+    ssh gateway candump -L can0 | canopen top --log -
     """
     screen = settings.screen()
     rate = rate_of(bitrate) if bitrate else 0
@@ -95,9 +96,9 @@ class _Top:
 
     # ---- what comes ----
 
-    async def listen(self, source: Path | None) -> None:
-        """Take in what comes from a bus or a file, to its end."""
-        async with open_live_source(self._settings, source) as live:
+    async def listen(self, source: Path | None, screen: Screen | None) -> None:
+        """Take in what comes from a bus or a file, to its end. screen: see open_live_source."""
+        async with open_live_source(self._settings, source, screen) as live:
             self._source = live.name
             self._bitrate = self._bitrate or live.bitrate or self._settings.told_bitrate() or 0
             self._live = live
@@ -129,16 +130,16 @@ class _Top:
 
         async def for_a_time() -> None:
             with trio.move_on_after(math.inf if seconds is None else seconds):
-                await self.listen(source)
+                await self.listen(source, None if is_drawn else self._screen)
 
         failure: LogFileError | None = None
         try:
-            await self._show(for_a_time, is_drawn)
+            await self._show(for_a_time, seconds, is_drawn, source is None)
         except LogFileError as error:  # what could be read is shown
             failure = error
         view = self._view()
         if not any(bus.figures.frames for bus in view.buses):
-            raise failure or self._nothing_came(is_recording=source is not None)
+            raise failure or self._nothing_came()
         if self._settings.json:
             self._screen.json(as_json(view))
         else:
@@ -146,12 +147,13 @@ class _Top:
         if failure is not None:
             raise failure
 
-    async def _show(self, work: Callable[[], Awaitable[None]], is_drawn: bool) -> None:
+    async def _show(self, work: Callable[[], Awaitable[None]], seconds: float | None, is_drawn: bool, is_live: bool) -> None:
         if is_drawn:
             keys = {"s": self._next_sort, "b": self._next_bus, "\t": self._next_bus}
             await LiveScreen(self._screen, self._view, _draw, keys, REFRESH).during(work)
         else:
-            await work()
+            async with time_left(self._screen, "listening", seconds if is_live else 0.0):
+                await work()
 
     def _view(self) -> TopView:
         now = self._clock.now()
@@ -168,10 +170,8 @@ class _Top:
     def _next_bus(self) -> None:
         self._chosen += 1
 
-    def _nothing_came(self, *, is_recording: bool) -> CommandError:
-        seen = "; ".join(self._notes.values())  # why: entries that are no frames of CAN, or the state of the bus
-        if is_recording:
-            return CommandError(ExitCode.BAD_FILE, "CO342", f"there is no frame in {self._source}", seen=seen)
+    def _nothing_came(self) -> CommandError:
+        seen = "; ".join(self._notes.values())  # why: the state of the bus
         return CommandError(
             ExitCode.NO_ANSWER,
             "CO210",

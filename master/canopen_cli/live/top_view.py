@@ -200,12 +200,16 @@ _SHORT: Final = {"pre-operational": "pre-op", "initialising": "init"}
 
 
 def _table(nodes: Sequence[NodeFigures], shown: BusShown, sort: str, width: int) -> RenderableType:
+    """Return the table of the nodes. Where it is too wide, columns are left out, which --json has."""
     load = "load %" if shown.bitrate else "bit/s"
     heads = ("node", "state", "heard", "heartbeat", "frames/s", load, "SDO", "aborts", "errors")
     sorted_by = {"node": "node", "load": load, "silence": "heard", "errors": "errors"}[sort]
     rows = [_cells(node, shown) for node in nodes]
     sizes = [max(map(cell_len, (name, *(row[place] for row in rows)))) for place, name in enumerate(heads)]
     used = [name != "aborts" or any(row[place] for row in rows) for place, name in enumerate(heads)]
+    for place in (heads.index(name) for name in ("SDO", "heartbeat", load, "frames/s") if name != sorted_by):
+        least = sum(size + GAP for size, is_used in zip(sizes, used, strict=True) if is_used) - GAP
+        used[place] = used[place] and least <= width
     sizes[-1] = max(6, width - sum(size + GAP for size, is_used in zip(sizes[:-1], used, strict=False) if is_used))
     table = Table.grid(padding=(0, GAP, 0, 0))
     for name, size, is_used in zip(heads, sizes, used, strict=True):

@@ -17,15 +17,15 @@ from rich.console import RenderableType
 from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_lost, note_source, note_state
 from canopen_cli.live.screen import LiveScreen
-from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source
-from canopen_cli.live.watch_polling import Load, Polling, load_text
+from canopen_cli.live.source import LiveSource, open_live_source, recorded
+from canopen_cli.live.watch_polling import NO_ANSWER_TEXT, Load, Polling, load_text
 from canopen_cli.live.watch_view import Around, picture, plain
 from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Duration, NodeOfObject, Settings, common, lasting, with_named_object
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
-from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import open_session, read_dictionary
 from canopen_cli.shared.values import TYPES, as_json, find_object, object_json, physical, place_text
@@ -66,14 +66,13 @@ STALE_AFTER: Final = 3
     help="How often an object is read that no PDO brings.",
 )
 @click.option("--passive", is_flag=True, help="Send nothing: show what passes on the bus anyway.")
-@click.option("--from", "source", metavar="FILE", type=FILE_OR_INPUT, help="A log file in place of the bus; - is standard input.")
+@recorded
 @click.option("--channel", metavar="NAME", help="Of a file with several buses: the one of the node.")
 @click.option("--csv", "csv_path", metavar="FILE", help="Write each value into a CSV file too.")
 @click.option("--plot", is_flag=True, help=f"Draw the last {SPAN:g} s of each number below the table.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
 @click.option("--type", "type_name", type=click.Choice(list(TYPES)), help="Of objects that the dictionary does not have.")
 @common
-@click.pass_obj
 def watch(
     settings: Settings,
     node_id: int,
@@ -99,11 +98,11 @@ def watch(
     canopen watch 3 statusword position_actual_value -b demo
     canopen watch 3 --402 --plot -b demo
     canopen watch 5 6041 6064 -e drive.eds --csv run.csv
-    canopen watch 5 6064 --from trace.log
-    ssh gateway candump -L can0 | canopen watch 5 6041 --from -
+    canopen watch 5 6064 --log trace.log
+    ssh gateway candump -L can0 | canopen watch 5 6041 --log -
     """
     screen = settings.screen()
-    keys = keys if drive and not keys else with_named_object(keys)
+    keys = keys if drive and not keys else with_named_object(keys, node_id)
     if csv_path is not None:
         check_new_file(settings, screen, csv_path)
         check_writable(csv_path)
@@ -200,7 +199,7 @@ class _Watching:
 
     async def listen(self, source: Path | None) -> None:
         """Take in what comes from a bus or a file, to its end."""
-        async with open_live_source(self._settings, source) as live:
+        async with open_live_source(self._settings, source, None if self.is_drawn else self._screen) as live:
             self._live, self._where = live, live.name
             self._how = "passive: nothing is sent" if live.is_live else "a recording"
             async for each in live:
@@ -266,6 +265,11 @@ class _Watching:
             raise failure
         if not self._has_value:
             raise self._nothing_came()
+        silent = [row.place for row in self._view().rows if row.trouble == NO_ANSWER_TEXT]
+        if silent:  # a script that goes on would take the last values for the present ones
+            raise self._no_value(
+                f"node {self._watched.node_id} has stopped answering: there are no new values of {', '.join(silent)}"
+            )
 
     def _view(self) -> View:
         return self._watched.view(self.now())
@@ -290,18 +294,17 @@ class _Watching:
             words = f" ({', '.join(row.words)})" if row.words else ""
             seconds = (sample.time - (self._first or 0)) / SECOND
             text = f"{row.place} {row.name} = {row.value} {row.unit}".rstrip()
+            if self._live is not None:
+                self._live.clear()
             self._screen.out.out(f"{seconds:12.6f} {clean(f'{text}{words}')}  [{clean(row.source)}]", highlight=False)
 
     async def _tell_during(self, work: Callable[[], Awaitable[None]]) -> None:
         """Do the work; say why values do not come."""
         told: dict[str, str] = {}
-        try:
-            async with trio.open_nursery() as nursery:
-                nursery.start_soon(self._tell_remarks, told)
-                await work()
-                nursery.cancel_scope.cancel()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
+        async with first_error(), trio.open_nursery() as nursery:
+            nursery.start_soon(self._tell_remarks, told)
+            await work()
+            nursery.cancel_scope.cancel()
         self._tell_new_remarks(told)
 
     async def _tell_remarks(self, told: dict[str, str]) -> None:
@@ -331,14 +334,14 @@ class _Watching:
         troubles = dict.fromkeys(row.trouble for row in view.rows if row.trouble)
         heard = "nothing was heard of it" if view.heard is None else "it was heard, and sent none of them"
         objects = ", ".join(row.place for row in view.rows)
-        return CommandError(
-            ExitCode.NO_ANSWER,
-            "CO210",
-            f"no value of {objects} of node {node_id} has come",
-            seen="; ".join(troubles) or heard,
-            tries=(f"canopen info {node_id}", "canopen monitor    (what passes on the bus)"),
-            node=node_id,
-        )
+        return self._no_value(f"no value of {objects} of node {node_id} has come", "; ".join(troubles) or heard)
+
+    def _no_value(self, failed: str, seen: str = "") -> CommandError:
+        node_id = self._watched.node_id
+        tries: tuple[str, ...] = (f"canopen info {node_id}", "canopen monitor    (what passes on the bus)")
+        if self._live is not None and not self._live.is_live:
+            tries = (f"canopen log stats {self._live.name}    (what is in it)",)
+        return CommandError(ExitCode.NO_ANSWER, "CO210", failed, seen=seen, tries=tries, node=node_id)
 
 
 def _tell_json(screen: Screen, node_id: int, sample: WatchedSample) -> None:

@@ -214,11 +214,6 @@ class Watched:
         for entry in self._entries.values():
             entry.least = entry.most = None
 
-    def value_age(self, variable: Variable, now: Time) -> Time:
-        """Return the age of an object's value, ns; NEVER without one, or with one from before a boot-up."""
-        entry = self._entries[variable.mux]
-        return NEVER if entry.value is None or entry.is_old else now - entry.time
-
     def pdo_age(self, variable: Variable, now: Time) -> Time:
         """Return how long ago a PDO brought an object, ns; at least NEVER if none did since the node's boot-up."""
         return now - self._entries[variable.mux].by_pdo

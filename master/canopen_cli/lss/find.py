@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from canopen_cli.lss.support import (
@@ -25,6 +23,7 @@ from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.values import identity_json
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
 from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Survey, all_waiting, search, survey
 from canopen_proto.machine import Time
@@ -37,7 +36,6 @@ COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
 @windowed
 @limited
 @common
-@click.pass_obj
 def scan(
     settings: Settings,
     vendor: int | None,
@@ -85,7 +83,6 @@ def _matching(chosen: bool) -> str:
 @click.option("--serial", type=NumberBounds(), default=(0, ALL_ONES), help="Serial numbers, inclusive: 1-100.  [default: all]")
 @windowed
 @common
-@click.pass_obj
 def identify(
     settings: Settings, vendor: int, product: int, revision: tuple[int, int], serial: tuple[int, int], window: Time
 ) -> None:
@@ -120,7 +117,6 @@ def identify(
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @windowed
 @common
-@click.pass_obj
 def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
     """Show the LSS address and the node-ID of one device. Nothing is written.
 
@@ -139,18 +135,13 @@ def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
 
     address, node_id = run(settings, screen, ask)
     if settings.json:
-        screen.json({**_as_json(address), "node": None if node_id == UNCONFIGURED else node_id})
+        screen.json({**identity_json(address), "node": None if node_id == UNCONFIGURED else node_id})
         return
     screen.data(f"{address_text(address)}  node-ID {node_id_text(node_id)}")
 
 
 def _show(settings: Settings, screen: Screen, addresses: list[LssAddress]) -> None:
     if settings.json:
-        screen.json([_as_json(address) for address in addresses])
+        screen.json([identity_json(address) for address in addresses])
     elif addresses:
         screen.table((*COLUMNS, "address"), [(*(f"0x{number:08X}" for number in each), address_text(each)) for each in addresses])
-
-
-def _as_json(address: LssAddress) -> dict[str, Any]:
-    vendor, product, revision, serial = address
-    return {"vendor_id": vendor, "product_code": product, "revision_number": revision, "serial_number": serial}

@@ -14,19 +14,21 @@ from typing import Any, Final
 import click
 import trio
 
-from canopen_cli.lss.support import Lss, address_text, open_lss, windowed
+from canopen_cli.lss.support import Lss, address_text, open_lss, progress, windowed
 from canopen_cli.shared.options import DEMO, Duration, Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.time_left import time_left
+from canopen_cli.shared.values import identity_json
 from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
 from canopen_proto.lss.scan import survey
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.manager.scan import LISTEN, NodeFound, scan
+from canopen_proto.manager.scan import LISTEN, NodeFound, duration_of, scan
 from canopen_transports.locator import bitrate_text, parse_bitrate, parse_locator
 
 WITHOUT_RATE: Final = ("virtual", "tcp", "udp_multicast")
@@ -72,7 +74,7 @@ class RateChange:
 
 @click.command("set-bitrate")
 @click.argument("rate", metavar="RATE", type=Rate())
-@click.option("--from", "present", type=Rate(), help="The present bit rate, if the name of the bus does not say it.")
+@click.option("--present", type=Rate(), help="The present bit rate, if the name of the bus does not say it.")
 @click.option(
     "--delay", type=Duration(0, 65_535 * MILLISECOND), default=DELAY, help="Before and after the switch.  [default: 1s]"
 )
@@ -85,7 +87,6 @@ class RateChange:
 @windowed
 @commanding
 @common
-@click.pass_obj
 def set_bitrate(
     settings: Settings, rate: int, present: int | None, delay: Time, command: str, no_store: bool, yes: bool, window: Time,
 ) -> None:  # fmt: skip
@@ -97,7 +98,7 @@ def set_bitrate(
 
     \b
     canopen lss set-bitrate 250k --dry-run -b pcan:PCAN_USBBUS1@500k
-    canopen lss set-bitrate 250k --from 500k -b can0 --interface-command "ip link set can0 down && ..."
+    canopen lss set-bitrate 250k --present 500k -b can0 --interface-command "ip link set can0 down && ..."
     """
     screen = settings.screen()
     change = _change(settings, rate, present, delay, command, not no_store)
@@ -111,6 +112,7 @@ def set_bitrate(
     _show(screen, change, addresses)
     if settings.dry_run:
         screen.say("dry run: nothing was written")
+        _tell_json(settings, screen, change, addresses)
         return
     confirm(screen, f"change the bit rate of {counted(len(addresses), 'device')}; no drive may move meanwhile", yes, needed=True)
 
@@ -119,6 +121,7 @@ def set_bitrate(
         return await _check(settings, screen, change, addresses, window)
 
     failed = run(settings, screen, carry_out)
+    _tell_json(settings, screen, change, addresses, failed)
     if failed:
         seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in failed)
         raise CommandError(
@@ -133,7 +136,7 @@ def _change(settings: Settings, rate: int, present: int | None, delay: Time, com
     locator = parse_locator(DEMO_LOCATOR if bus == DEMO else bus)
     old = present or (locator.bitrate or 0) // 1000
     if old not in BIT_RATES.values():
-        raise usage("CO123", "which bit rate does the bus have now? It is needed for the way back", tries=("--from 500k",))
+        raise usage("CO123", "which bit rate does the bus have now? It is needed for the way back", tries=("--present 500k",))
     has_rate = locator.interface not in (*WITHOUT_RATE, "socketcan")
     if locator.interface == "socketcan" and not command:
         link = f"ip link set {locator.channel}"
@@ -150,8 +153,10 @@ def _change(settings: Settings, rate: int, present: int | None, delay: Time, com
 async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
     """Return the addresses of all devices on the bus. Raises a CommandError if one cannot be reached by LSS."""
     screen.say("[dim]looking for all devices: nodes, and devices without a node-ID[/]")
-    found: list[NodeFound] = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
-    without = (await lss.run(survey(lss.tool, lss.pace))).found
+    async with time_left(screen, "asking all node-IDs", duration_of(len(ALL_NODE_IDS), listen=LISTEN) / SECOND):
+        found: list[NodeFound] = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
+    async with progress(lss, screen, (None, None, None, None)):
+        without = (await lss.run(survey(lss.tool, lss.pace))).found
     by_node = {node.node_id: LssAddress(*(number or 0 for number in node.identity)) for node in found}
     addresses: list[LssAddress] = [*by_node.values(), *without]
     absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
@@ -165,6 +170,26 @@ async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
             tries=("switch off what does not know LSS, and set its bit rate by hand",),
         )  # fmt: skip
     return addresses
+
+
+def _tell_json(
+    settings: Settings, screen: Screen, change: RateChange, addresses: Sequence[LssAddress], failed: Sequence[Refusal] = ()
+) -> None:
+    """With --json print what was done. failed: devices that did not store the new bit rate."""
+    if not settings.json:
+        return
+    remarks = {each.address: each.remark for each in failed}
+    is_wanted = change.store and not settings.dry_run
+    devices = [
+        {
+            **identity_json(address),
+            "stored": address not in remarks if is_wanted else None,
+            "remark": remarks.get(address),
+        }
+        for address in addresses
+    ]
+    rates = {"before": change.old * 1000, "bitrate": change.new * 1000}
+    screen.json({"bus": change.locators[1], **rates, "dry_run": settings.dry_run, "devices": devices})
 
 
 def _show(screen: Screen, change: RateChange, addresses: Sequence[LssAddress]) -> None:
@@ -186,12 +211,15 @@ async def _switch(settings: Settings, screen: Screen, change: RateChange, addres
             raise CommandError(
                 ExitCode.PARTIAL, "CO212", f"not every device takes {change.new} kbit/s; nothing was switched", seen=seen
             )
-        await lss.run(activate(lss.tool, change.delay))
+        async with time_left(screen, "silent before the switch", change.delay / SECOND):
+            await lss.run(activate(lss.tool, change.delay))
     started = trio.current_time()
     if change.command:
         await _run_command(change)
     settings.bus = change.locators[1]
-    await trio.sleep(max(0.0, change.delay / SECOND - (trio.current_time() - started)))
+    rest = max(0.0, change.delay / SECOND - (trio.current_time() - started))
+    async with time_left(screen, "silent behind the switch", rest):
+        await trio.sleep(rest)
 
 
 async def _run_command(change: RateChange) -> None:

@@ -25,16 +25,18 @@ from canopen_cli.lss.support import (
     selected,
     windowed,
 )
+from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.options import NodeId, NodeIds, Settings, commanding, common, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.values import identity_json
 from canopen_cli.shared.withholding import show_unsent
 from canopen_data.named_files import read_text
+from canopen_proto.frame import UNCONFIGURED
 from canopen_proto.lss.assign import (
     NOBODY_AGREED,
-    Choice,
     Given,
     LssAssignment,
     Planned,
@@ -59,7 +61,6 @@ TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 @windowed
 @commanding
 @common
-@click.pass_obj
 def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
     """Give one device a node-ID, or another one.
 
@@ -83,29 +84,32 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
             address, present = await selected(lss, device)
             await lss.run(all_waiting(lss.tool))
             if present != node_id and node_id in await lss.run(nodes_there(lss.tool, [node_id])):
-                raise CommandError(
-                    ExitCode.USAGE, "CO123", f"another node has the node-ID {node_id}", seen="nothing was written",
+                raise usage(
+                    "CO123", f"another node has the node-ID {node_id}", seen="nothing was written",
                     tries=("canopen scan    (which are free?)",),
                 )  # fmt: skip
             screen.say(f"{escape(address_text(address))}: node-ID {node_id_text(present)}")
             given: Given = await lss.run(give(lss.tool, lss.pace, address, node_id, present=present, store=not no_store))
             return given
 
-    if settings.dry_run:
-        show_unsent(settings, screen, change)
-        return
-    _show(settings, screen, [run(settings, screen, change)])
+    _show(settings, screen, [run_or_show(settings, screen, change)])
 
 
 @click.command()
 @click.argument("device", metavar="DEVICE", type=TargetKind())
+@click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
 @common
-@click.pass_obj
-def store(settings: Settings, device: LssTarget, window: Time) -> None:
-    """Let one device store its node-ID and bit rate. DEVICE: see set-id."""
+def store(settings: Settings, device: LssTarget, yes: bool, window: Time) -> None:
+    """Let one device store its node-ID and bit rate. DEVICE: see set-id.
+
+    \b
+    canopen lss store 5 -b can0
+    """
     screen = settings.screen()
+    question = "let the device store its node-ID and bit rate: it has them from its next power-on, too"
+    confirm(screen, question, yes, needed=not settings.dry_run)
 
     async def keep() -> None:
         async with open_lss(settings, screen, window) as lss:
@@ -116,11 +120,10 @@ def store(settings: Settings, device: LssTarget, window: Time) -> None:
                     ExitCode.PARTIAL, "CO212", f"{address_text(address)} has stored nothing", seen=failed[0].remark
                 )
             screen.say(f"{escape(address_text(address))}: stored, node-ID {node_id_text(node_id)}")
+            if settings.json and not settings.dry_run:
+                screen.json({"node": None if node_id == UNCONFIGURED else node_id, **identity_json(address), "stored": True})
 
-    if settings.dry_run:
-        show_unsent(settings, screen, keep)
-        return
-    run(settings, screen, keep)
+    run_or_show(settings, screen, keep)
 
 
 @click.command()
@@ -134,8 +137,8 @@ def store(settings: Settings, device: LssTarget, window: Time) -> None:
 @knowing
 @windowed
 @limited
+@commanding
 @common
-@click.pass_obj
 def assign(
     settings: Settings,
     node_ids: tuple[int, ...] | None,
@@ -157,6 +160,7 @@ def assign(
 
     \b
     canopen lss assign --ids 10-20 -b can0
+    canopen lss assign --ids 10-20 -b can0 --dry-run     which device would get which, and every frame
     canopen lss assign --table nodes.csv --vendor 0x360 -b can0
     """
     screen = settings.screen()
@@ -165,24 +169,34 @@ def assign(
     rows = read_table(table) if table is not None else ()
     choose = by_table(rows) if node_ids is None else in_order(node_ids)
     known = (vendor, product, revision, serial)
-    require_somebody(screen, "write node-IDs into devices", yes)
-    questions = Questions(screen, agrees=yes)
+    require_somebody(screen, "write node-IDs into devices", yes or settings.dry_run)
+    questions = Questions(screen, agrees=yes or settings.dry_run)
 
-    async def give_all() -> tuple[LssAssignment, list[int]]:
+    async def give_all() -> LssAssignment:
         async with open_lss(settings, screen, window, limit) as lss:
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
-            assignment = await _assign(lss, screen, questions, choose, known, store=not no_store)
+            assignment = LssAssignment(lss.tool, choose, lss.pace, known, not no_store)
+            await _assign(lss, screen, questions, assignment, is_rehearsal=settings.dry_run)
             given = {each.node_id for each in assignment.done}
             wanted = [node_id for _, node_id in rows if node_id not in given]
             there = await lss.run(nodes_there(lss.tool, wanted)) if wanted else set()
-            return assignment, [node_id for node_id in wanted if node_id not in there]
+            absent.extend(node_id for node_id in wanted if node_id not in there)
+            return assignment
 
-    result, absent = run(settings, screen, give_all)
+    absent: list[int] = []
+    if settings.dry_run:
+        result = show_unsent(settings, screen, give_all)
+        given = ", ".join(f"{each.node_id} to {address_text(each.address)}" for each in result.done)
+        screen.say(f"would give {counted(len(result.done), 'node-ID')}{f': {escape(given)}' if given else ''}")
+        screen.say("two devices with one address would show only once the first has its node-ID")
+    else:
+        result = run(settings, screen, give_all)
     for address, why in result.left.items():
         screen.say(f"[yellow]{escape(address_text(address))} is left alone: {escape(why)}[/]")
     if result.remark:
         screen.say(f"[yellow]{escape(result.remark)}[/]")
-    _show(settings, screen, result.done)
+    if not settings.dry_run:
+        _show(settings, screen, result.done)
     if NOBODY_AGREED in result.left.values():
         raise CommandError(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
     if result.unfinished:
@@ -202,13 +216,14 @@ def assign(
         )
 
 
-async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> LssAssignment:
-    assignment, begun = LssAssignment(lss.tool, choose, lss.pace, known, store), trio.current_time()
+async def _assign(lss: Lss, screen: Screen, questions: Questions, assignment: LssAssignment, *, is_rehearsal: bool) -> None:
+    """Give node-IDs until nobody is left. is_rehearsal: what is written stays here, so each device has to be put aside."""
+    begun = trio.current_time()
     while True:
-        async with progress(lss, screen, known):
+        async with progress(lss, screen, assignment.known):
             plan: list[Planned] = await lss.run(assignment.next_plan())
         if not plan:
-            return assignment
+            return
         for planned in plan:
             screen.say(f"{escape(address_text(planned.address))} is to get the node-ID [bold]{planned.node_id}[/]")
         if not await questions.may(f"Write {counted(len(plan), 'node-ID')}?"):
@@ -218,6 +233,8 @@ async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice
             (given,) = await lss.run(assignment.write([planned]))
             screen.say(f"{_line(given)}")
             screen.say(f"[dim]{counted(len(assignment.done), 'device')} so far, in {trio.current_time() - begun:.1f} s[/]")
+        if is_rehearsal:
+            assignment.put_aside(plan)
 
 
 def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
@@ -284,13 +301,9 @@ def _next_steps(given: Given) -> tuple[str, ...]:
 
 
 def _as_json(given: Given) -> dict[str, Any]:
-    vendor, product, revision, serial = given.address
     return {
         "node": given.node_id,
-        "vendor_id": vendor,
-        "product_code": product,
-        "revision_number": revision,
-        "serial_number": serial,
+        **identity_json(given.address),
         "written": given.written,
         "stored": given.stored,
         "booted": given.booted,

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import click
 import trio
 from rich.progress import BarColumn, Progress, TextColumn
 
 from canopen_cli.shared.chosen_machine import NUMBER
-from canopen_cli.shared.options import Duration, Kind, Settings, node_id_of
+from canopen_cli.shared.options import Duration, Kind, Settings, TextKind, node_id_of, option_group
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import BusSession, open_session
@@ -35,8 +35,6 @@ from canopen_proto.lss.scan import (
 )
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, act
-
-T = TypeVar("T", bound=Callable[..., Any])
 
 ONLY: Final = "only"
 MAX_TEXT: Final = 0xFFFF_FFFF
@@ -74,24 +72,22 @@ async def open_lss(settings: Settings, screen: Screen, window: Time, limit: Time
             session.network.detach(tool)
 
 
-class Unsigned32(Kind):
+class Unsigned32(TextKind):
     """An UNSIGNED32: decimal, or hexadecimal with 0x."""
 
     name = "number"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        return value if isinstance(value, int) else number_of(str(value))
+    def read(self, text: str) -> int:
+        return number_of(text)
 
 
-class NumberBounds(Kind):
+class NumberBounds(TextKind):
     """Two UNSIGNED32, inclusive: "1-100"; or one."""
 
     name = "a-b"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        first, dash, last = str(value).partition("-")
+    def read(self, text: str) -> tuple[int, int]:
+        first, dash, last = text.partition("-")
         low = number_of(first)
         return low, number_of(last) if dash else low
 
@@ -140,32 +136,26 @@ class TargetKind(Kind):
         return LssTarget(node_id=node_id_of(text) if settings is None else settings.node_id(text))
 
 
-def windowed(command: T) -> T:
-    """Add --window."""
-    help_text = f"How long silence has to last to count.  [default: {WINDOW // 10**6}ms; slow or busy buses need more]"
-    added: T = click.option("--window", type=Duration(2_000_000), default=WINDOW, help=help_text)(command)
-    return added
-
-
-def limited(command: T) -> T:
-    """Add --limit."""
-    help_text = f"The longest time to find one device.  [default: {DEVICE_LIMIT // SECOND}s]"
-    added: T = click.option("--limit", type=Duration(SECOND), default=DEVICE_LIMIT, help=help_text)(command)
-    return added
-
-
-def knowing(command: T) -> T:
-    """Add the options for known numbers of an address."""
-    for name, text in (
-        ("serial", "serial number"),
-        ("revision", "revision"),
-        ("product", "product code"),
-        ("vendor", "vendor-ID"),
-    ):
-        command = click.option(f"--{name}", type=Unsigned32(), help=f"The {text} of the devices, if it is known: quicker.")(
-            command
-        )
-    return command
+windowed: Final = click.option(
+    "--window",
+    type=Duration(2_000_000),
+    default=WINDOW,
+    help=f"How long silence has to last to count.  [default: {WINDOW // 10**6}ms; slow or busy buses need more]",
+)
+limited: Final = click.option(
+    "--limit",
+    type=Duration(SECOND),
+    default=DEVICE_LIMIT,
+    help=f"The longest time to find one device.  [default: {DEVICE_LIMIT // SECOND}s]",
+)
+_NUMBERS: Final = {"vendor": "vendor-ID", "product": "product code", "revision": "revision", "serial": "serial number"}
+knowing: Final = option_group(
+    *(
+        click.option(f"--{name}", type=Unsigned32(), help=f"The {text} of the devices, if it is known: quicker.")
+        for name, text in _NUMBERS.items()
+    )
+)
+"""The options for known numbers of an address."""
 
 
 def address_text(address: LssAddress) -> str:

@@ -20,13 +20,22 @@ def data() -> None:
 
 
 @data.command()
-@click.option("--to", "target", type=click.Path(file_okay=False, path_type=Path), help="Another folder than ~/.canopen.")
+@click.option(
+    "-o",
+    "--output",
+    "target",
+    metavar="FOLDER",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Another folder than ~/.canopen.",
+)
 @common
-@click.pass_obj
 def init(settings: Settings, target: Path | None) -> None:
     """Copy the data files to ~/.canopen (or $CANOPEN_DATA).
 
     A file there replaces the installed one of the same name. Files that you changed are kept, unless --force is given.
+
+    \b
+    canopen data init
     """
     screen = settings.screen()
     copied = canopen_data.init(target, force=settings.force)

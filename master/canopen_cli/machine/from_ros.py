@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 )
 @click.option("--linear", metavar="JOINT", multiple=True, help="A slide: its positions are in metres there; once for each.")
 @common
-@click.pass_obj
 def import_(
     settings: Settings,
     files: tuple[str, ...],

@@ -11,6 +11,7 @@ import click
 from canopen_cli.machine.from_ros import import_
 from canopen_cli.machine.limits import limits_as_json, show_limits
 from canopen_cli.shared.lazy import NamingGroup
+from canopen_cli.shared.named_machine import machine_argument
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
@@ -40,9 +41,8 @@ machine.add_command(import_)
 
 
 @machine.command()
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path), required=False)
+@machine_argument
 @common
-@click.pass_obj
 def check(settings: Settings, file: Path | None) -> int:
     """Check a machine file, and the files that it names. Every error is shown, with its line; without errors, what it describes,
     and where the limits of each joint come from.
@@ -53,7 +53,7 @@ def check(settings: Settings, file: Path | None) -> int:
     canopen machine check cell.toml
     """
     screen = settings.screen()
-    path = file or settings.machine
+    path = settings.chosen.path(file or settings.machine)
     if path is None:
         raise usage("CO001", "which machine file?", tries=("canopen machine check cell.toml",))
     try:
@@ -143,7 +143,6 @@ def _as_json(machine: MachineFile) -> dict[str, Any]:
     help="The bus that a name of the chain file means; once for each.",
 )
 @common
-@click.pass_obj
 def from_chains(settings: Settings, chains: str, output: str, locators: tuple[str, ...]) -> None:
     """Make a machine file of a chain file of the manual, yours or an installed one. The chain file stays as it is.
 

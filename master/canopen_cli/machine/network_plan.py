@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
 from canopen_cli.shared.device_files import description_of, read_device_files
+from canopen_cli.shared.named_machine import machine_argument, machine_of
 from canopen_cli.shared.options import Duration, Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -24,7 +26,7 @@ from canopen_master.exchanges import (
 )
 from canopen_master.machine_file import BusEntry, ChainEntry, JointEntry, MachineFile
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.machine_file.links import linked_buses, plan_bus
+from canopen_master.machine_file.links import configured_dictionaries, linked_buses, plan_bus
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import read_chains
 from canopen_proto.dictionary import ObjectDictionary
@@ -41,11 +43,16 @@ GROUPED = ("heartbeat", "EMCY")
 
 
 @click.command()
-@click.option("--chains", "file", metavar="FILE", help="A chain file, as `canopen demo --chains` has it.")
+@machine_argument
+@click.option("--chains", metavar="FILE", help="A chain file, as `canopen demo --chains` has it.")
 @click.option("--cycle", metavar="TIME", type=Duration(100 * MICROSECOND), help="Between two SYNCs: 4ms.")
 @click.option("--bitrate", metavar="RATE", help="1M, 500k, 125k ...")
-@click.option("--rpdo", default=DEFAULTS.rpdo, show_default=True, help="The PDO of PDOs.csv that goes to each joint.")
-@click.option("--tpdo", default=DEFAULTS.tpdo, show_default=True, help="The PDO of PDOs.csv that comes from each joint.")
+@click.option(
+    "--rpdo", metavar="PDO", default=DEFAULTS.rpdo, show_default=True, help="The PDO of PDOs.csv that goes to each joint."
+)
+@click.option(
+    "--tpdo", metavar="PDO", default=DEFAULTS.tpdo, show_default=True, help="The PDO of PDOs.csv that comes from each joint."
+)
 @click.option("--heartbeat", metavar="TIME", type=Duration(0), default="500ms", show_default=True, help="Of each joint; 0: none.")
 @click.option("--sdo", metavar="TIME", type=Duration(0), default="10ms", show_default=True, help="Between two requests; 0: none.")
 @click.option("--emcy", metavar="TIME", type=Duration(0), default="100ms", show_default=True, help="Inhibit time; 0: no EMCY.")
@@ -60,10 +67,10 @@ GROUPED = ("heartbeat", "EMCY")
     help="Controllers send their most urgent frame first, or the oldest (SocketCAN, most USB adapters; a coarser bound).",
 )
 @common
-@click.pass_obj
 def plan(
     settings: Settings,
-    file: str | None,
+    file: Path | None,
+    chains: str | None,
     cycle: Time | None,
     bitrate: str | None,
     rpdo: str,
@@ -83,14 +90,14 @@ def plan(
     those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle, synchronous
     TPDOs at each SYNC, the others once per inhibit time or event timer.
 
-    With a machine file (-m) the devices are all of its nodes, and cycle and bit rates are those of the file unless options say
-    otherwise. Joints of a chain with `own_pdos` have the PDOs that the chain would plan: see `canopen drive plan NODE`. The links
-    of the file have those of `canopen net links`.
+    With a machine file the devices are all of its nodes, and cycle and bit rates are those of the file unless options say
+    otherwise. PDOs are as the `configuration` of a node sets them. Joints of a chain with `own_pdos` have the PDOs that the chain
+    would plan: see `canopen drive plan NODE`. The links of the file have those of `canopen net links`.
 
     Exit status: 0 it fits, 1 it does not.
 
     \b
-    canopen plan -m cell.toml
+    canopen plan cell.toml
     canopen plan --chains arm.csv --cycle 4ms --bitrate 1M
     canopen plan --chains arm.csv --cycle 10ms --bitrate 125k --json
     """
@@ -99,15 +106,19 @@ def plan(
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from error
     screen = settings.screen()
-    machine = settings.machine_file() if file is None else None
+    if file is not None and chains is not None:
+        raise usage("CO123", "a machine file or a chain file: one of the two", tries=(f"canopen plan {file}",))
+    if file is not None and file.suffix.lower() == ".csv":
+        raise usage("CO123", f"{file} is no machine file", tries=(f"--chains {file}    (if it is a chain file)",))
+    machine = machine_of(settings, file) if chains is None else None
     if machine is not None:
         cycle = machine.master.cycle if cycle is None else cycle
         rates = {name: rate or _rate_of(bus) for name, bus in machine.buses.items()}
         by_bus = _of_machine(machine, cycle, rates, screen)
-    elif file is not None:
-        by_bus = _of_chains(file, (rpdo, tpdo), settings, screen)
+    elif chains is not None:
+        by_bus = _of_chains(chains, (rpdo, tpdo), settings, screen)
     else:
-        raise usage("CO001", "which network?", tries=("--chains arm.csv --cycle 4ms --bitrate 1M", "-m cell.toml"))
+        raise usage("CO001", "which network?", tries=("--chains arm.csv --cycle 4ms --bitrate 1M", "canopen plan cell.toml"))
     if cycle is None:
         raise usage("CO001", "which cycle?", tries=("--cycle 10ms",))
     background = OtherTraffic(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
@@ -166,6 +177,7 @@ def _exchanged(machine: MachineFile, cycle: Time, lean: Collection[str]) -> tupl
             axes.setdefault(machine.joints[name].node, []).append((chain, machine.joints[name]))
     by_bus: dict[str, list[Exchange]] = {}
     links = {bus: plan_bus(machine, bus, dictionaries) for bus in linked_buses(machine)}
+    configured = {bus: configured_dictionaries(machine, bus, dictionaries) for bus in machine.buses}
     notes = []
     for node in machine.nodes.values():
         joints, description = axes.get(node.name, []), dictionaries.description_of(node)
@@ -179,7 +191,7 @@ def _exchanged(machine: MachineFile, cycle: Time, lean: Collection[str]) -> tupl
             settings = joints[0][0].settings
             found = exchange_of_named(name, node.node_id, dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
         elif description is not None:
-            found = exchange_of_file(name, node.node_id, description.dictionary)
+            found = exchange_of_file(name, node.node_id, configured[node.bus][node.name])
         else:
             notes.append(f"{name} has no file, and is in no chain: it is left out")
             continue
@@ -234,9 +246,9 @@ def _told(found: Counted, screen: Screen) -> Exchange:
 
 
 def _show(screen: Screen, network: BusTiming) -> None:
-    joints = len({each.stream.node_id for each in network.streams} - {0})
+    nodes = len({each.stream.node_id for each in network.streams} - {0})
     screen.data(
-        f"[bold]{escape(network.bus)}[/]: {counted(joints, 'joint')}, {bitrate_text(network.bitrate)}bit/s,"
+        f"[bold]{escape(network.bus)}[/]: {counted(nodes, 'node')}, {bitrate_text(network.bitrate)}bit/s,"
         f" cycle {milliseconds(network.cycle)}"
     )
     rows = []
@@ -265,7 +277,15 @@ def _show(screen: Screen, network: BusTiming) -> None:
         tightest = min((each for each in network.streams if each.stream.period == network.cycle), key=lambda each: each.margin)
         screen.fact("verdict", f"fits: {tightest.stream.name} is there {milliseconds(tightest.margin)} in time at worst")
     shortest = network.shortest_cycle
-    screen.fact("shortest cycle", milliseconds(shortest) if shortest is not None else "none fits: fewer joints, or a faster bus")
+    screen.fact("shortest cycle", milliseconds(shortest) if shortest is not None else f"none fits: {_remedy(network)}")
+
+
+def _remedy(network: BusTiming) -> str:
+    """Return what would help where no cycle does. A frame that comes more often than the cycle does not wait for a longer one."""
+    often = [each.stream.name for each in network.streams if not each.fits and each.stream.period < network.cycle]
+    if often:
+        return f"a longer inhibit time for {', '.join(often[:4])}{' ...' if len(often) > 4 else ''}, or a faster bus"
+    return "fewer nodes or PDOs, or a faster bus"
 
 
 def _rows(streams: Sequence[StreamTiming]) -> list[list[StreamTiming]]:

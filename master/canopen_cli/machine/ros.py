@@ -47,7 +47,6 @@ def ros() -> None:
 @ros.command()
 @click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @common
-@click.pass_obj
 def init(settings: Settings, folder: Path) -> None:
     """Write the ROS package ros_canopen into a folder: its package.xml, launch files, parameters, an example URDF.
 

@@ -13,7 +13,8 @@ import trio
 from canopen_cli.motion.chain_session import ChosenChains, choose_chains, open_chains
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.motion.view import DemoView, JointView, ViewStep
-from canopen_cli.shared.options import FiniteRange, Settings, common, enabling
+from canopen_cli.shared.named_machine import machine_argument, machine_of
+from canopen_cli.shared.options import FiniteRange, Settings, common, enabling, without_dry_run
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted
@@ -28,7 +29,7 @@ ENDS = ("q", "\x1b", END)
 
 
 @click.command()
-@click.argument("file", metavar="[MACHINE.toml]", required=False, type=click.Path(dir_okay=False, path_type=Path))
+@machine_argument
 @click.option("--chain", metavar="NAME", help="Which chain of the machine.  [default: the first]")
 @click.option("--home", is_flag=True, help="Home the joints first that have no reference.")
 @click.option(
@@ -39,9 +40,9 @@ ENDS = ("q", "\x1b", END)
     help="The share of each speed limit that is used.",
 )
 @record_option
+@without_dry_run("what it sends is as long as a key is held", "canopen move --dry-run")
 @enabling
 @common
-@click.pass_obj
 def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, speed: float, record: Path | None) -> None:
     """Move joints of a chain by keys, as long as a key is held. THEY MOVE.
 
@@ -55,8 +56,9 @@ def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, sp
     canopen jog cell.toml --speed 0.05
     """
     screen = settings.screen()
-    if file is not None:
-        settings.machine = file
+    if settings.json:
+        raise usage("CO123", "a jog has no JSON", seen="it goes on as long as keys are held", tries=("canopen move --json",))
+    machine_of(settings, file)
     chosen = choose_chains(settings, *([] if chain is None else [chain]))
     if not is_terminal():
         raise usage("CO122", "a jog needs a terminal, whose keys are held", seen="nothing was sent", tries=("canopen move",))

@@ -31,6 +31,7 @@ from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.record_reader import read_record
 from canopen_master.motion.recording import Recorder
 from canopen_master.trajectories.scaled_joints import load_ruckig
+from canopen_transports.loop.beside import beside
 
 REFRESH = 0.1
 """Seconds between two updates of what is shown."""
@@ -53,7 +54,6 @@ REFRESH = 0.1
 @enabling
 @commanding
 @common
-@click.pass_obj
 def move(
     settings: Settings,
     files: tuple[str, ...],
@@ -195,17 +195,10 @@ class _Move:
             device.following.largest_error = 0.0
         for name, path in legs:
             step = view.begin("move", name, progress=0.0)
-            failure: Exception | None = None
             began = trio.current_time()
-            async with trio.open_nursery() as nursery:
+            async with beside(trio.open_nursery()) as nursery:
                 nursery.start_soon(self._show, arm, view, step, path.duration)
-                try:
-                    await arm.moving.follow(path)
-                except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
-                    failure = error
-                nursery.cancel_scope.cancel()
-            if failure is not None:
-                raise failure
+                await arm.moving.follow(path)
             took = f"{name} in {trio.current_time() - began:.2f} s; its plan has {path.duration:.2f} s"
             farthest = max(arm.devices, key=lambda device: abs(device.following_error))
             off = f"{abs(farthest.following_error):.3g} off, as its drive tells"

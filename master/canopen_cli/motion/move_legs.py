@@ -16,7 +16,7 @@ from canopen_master.errors import PathRefusedError, PlanRefusedError
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import ensure_answers
-from canopen_master.motion.path_check import check_path
+from canopen_master.motion.path_check import check_path, find_margin
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.limits import read_limits
@@ -83,9 +83,10 @@ def _learn_limits(device: Device) -> Procedure[None]:
 
 
 async def _check(arm: ChainGroup, path: PathFile, limits: Sequence[JointLimits]) -> None:
-    """Check a path; an error tells what the rounding of the file has to do with it."""
+    """Check a path, and that the joints can stop along it; an error tells what the rounding of the file has to do with it."""
     try:
         await check_path(arm.devices, path.path, path.path.start, limits, arm.cycle_time)
+        await find_margin(arm.devices, path.path, limits, arm.cycle_time)
     except PathRefusedError as refused:
         if refused.kind in ("jerk", "acceleration"):
             number = [device.name for device in arm.devices].index(refused.joint)

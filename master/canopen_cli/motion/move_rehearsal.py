@@ -21,7 +21,6 @@ from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import SYNC
 from canopen_proto.machine import NEVER
-from canopen_proto.observer.observer import Observer
 from canopen_transports.tracing import recording
 
 
@@ -35,13 +34,13 @@ def rehearse_move(
 ) -> None:
     """Read the drives, move simulated ones like them, and show the check and the first cycle. Raises what the motion raises."""
     likenesses: dict[str, list[Likeness]] = {}
-    dictionaries: dict[int, ObjectDictionary] = {}
+    dictionaries: dict[tuple[str, int], ObjectDictionary] = {}
 
     async def look() -> None:
         async with open_chains(settings, chosen) as (master, arm):
             buses = {device.node: chosen.node_of(device.name).bus for device in arm.devices}  # each node once
             for node, bus in buses.items():
-                dictionaries[node.node_id] = node.dictionary
+                dictionaries[bus, node.node_id] = node.dictionary
                 likenesses.setdefault(bus, []).append(await master.run(likeness_of(node)))
 
     run(settings, screen, look)
@@ -63,13 +62,14 @@ def rehearse_move(
             for _, leg in legs:
                 await arm.moving.follow(leg)
 
-    with recording(frames):
+    with recording(frames) as trace:
         run(apart, screen, perform)
-    sent = [record for record in frames.records if record.sent]
+        names = {trace.channel_of(locator): bus for bus, locator in locators.items()}
+    sent = [record._replace(channel=names[record.channel]) for record in frames.records if record.sent]
     # The set-points of the first cycle are sent behind the SYNC after it; SYNC goes to all buses at one instant
     begin, end = (*sorted({record.time for record in sent if record.frame.can_id == SYNC})[1:3], NEVER, NEVER)[:2]
     first = [record for record in sent if begin <= record.time < end]
-    show_frames(settings, screen, first, Observer(dictionaries.get))
+    show_frames(settings, screen, first, lambda bus, node_id: dictionaries.get((bus, node_id)))
     screen.say("nothing of this was sent: simulated drives with the values of yours have moved. Yours may answer otherwise")
 
 

@@ -12,12 +12,14 @@ import click
 import trio
 
 from canopen_cli.net.boot_summary import NodeRow, by_state, problem_of, rows_of, success, tally
-from canopen_cli.net.support import ChosenNetwork, OpenNetwork, choose_network, machine_argument, open_network
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.net.support import ChosenNetwork, OpenNetwork, choose_network, open_network
+from canopen_cli.shared.named_machine import machine_argument
+from canopen_cli.shared.options import Settings, commanding, common, without_dry_run
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
-from canopen_cli.shared.running import first_of, run, run_until_interrupted
+from canopen_cli.shared.running import first_error, run, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
+from canopen_cli.shared.withholding import show_unsent
 from canopen_master.machine_file.boot_entries import BusNetwork
 from canopen_master.network_booting import network_boot
 from canopen_master.participant.subscription import Subscription
@@ -28,7 +30,7 @@ from canopen_proto.manager.boot.outcome import BootEnded, BootOutcome
 from canopen_proto.network import OutageChanged
 from canopen_proto.procedures.steps import Procedure, all_of
 
-COLUMNS: Final = ("bus", "node", "name", "result", "meaning", "seconds", "state")
+COLUMNS: Final = ("bus", "node", "name", "result", "code", "seconds", "state")
 _TOLD: Final = (BootEnded, NetworkStarted, NodeLost, NodeSupervised, OutageChanged)
 
 
@@ -68,8 +70,8 @@ class Booted:
 @click.command()
 @machine_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
+@commanding
 @common
-@click.pass_obj
 def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     """Reset, check, configure and start the nodes of a machine file.
 
@@ -79,9 +81,13 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     \b
     canopen net boot cell.toml -b demo --yes     simulated
     canopen net boot cell.toml
+    canopen net boot cell.toml --dry-run         what would be written, and in which order
     """
     screen = settings.screen()
     booted = Booted(choose_network(settings, screen, file))
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _boot(settings, screen, booted))
+        return ExitCode.OK
     _confirm(screen, booted.chosen, yes)
     run(settings, screen, lambda: _boot(settings, screen, booted), story=lambda confirmed: booted.story())
     _show(settings, screen, booted)
@@ -96,8 +102,8 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
 @click.command()
 @machine_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
+@without_dry_run("it goes on until Ctrl-C, by what the nodes do", "canopen net boot --dry-run")
 @common
-@click.pass_obj
 def watch(settings: Settings, file: Path | None, yes: bool) -> None:
     """Boot the nodes, then boot those that come back, and react to lost ones, until Ctrl-C.
 
@@ -149,21 +155,18 @@ async def _opened(
 ) -> AsyncIterator[OpenNetwork]:
     """Open the buses, and tell events of their nodes while the block runs, and at its end those that came last."""
     chosen = booted.chosen
-    try:
-        async with open_network(settings, screen, chosen) as opened, trio.open_nursery() as nursery:
-            heard: list[tuple[BusNetwork, Subscription[Any]]] = []
-            for network in chosen.networks:
-                booted.boots[network.bus] = network_boot(opened.master, chosen.machine, network, chosen.dictionaries)
-                events = opened.master.events(*_TOLD, bus=network.bus)
-                heard.append((network, events))
-                nursery.start_soon(_tell_all, network, events, tell)
-            yield opened
-            for network, events in heard:
-                for event in events.take():
-                    tell(network, event)
-            nursery.cancel_scope.cancel()
-    except ExceptionGroup as group:
-        raise first_of(group) from None
+    async with first_error(), open_network(settings, screen, chosen) as opened, trio.open_nursery() as nursery:
+        heard: list[tuple[BusNetwork, Subscription[Any]]] = []
+        for network in chosen.networks:
+            booted.boots[network.bus] = network_boot(opened.master, chosen.machine, network, chosen.dictionaries)
+            events = opened.master.events(*_TOLD, bus=network.bus)
+            heard.append((network, events))
+            nursery.start_soon(_tell_all, network, events, tell)
+        yield opened
+        for network, events in heard:
+            for event in events.take():
+                tell(network, event)
+        nursery.cancel_scope.cancel()
 
 
 async def _tell_all(network: BusNetwork, events: Subscription[Any], tell: Callable[[BusNetwork, Event], None]) -> None:
@@ -291,9 +294,9 @@ def _show(settings: Settings, screen: Screen, booted: Booted) -> None:
                 }
             )  # fmt: skip
             style = "" if row.state.is_good else "[red]"
-            result = "" if outcome is None else f"{style}{outcome.letter}{'[/]' if style else ''}"
-            meaning, seconds = ("", "") if outcome is None else (outcome.letter.meaning, f"{outcome.elapsed / SECOND:.3f}")
-            cells = (escape(row.bus), str(row.node_id), escape(name), result, escape(meaning), seconds, escape(row.state))
+            result = "" if outcome is None else f"{style}{escape(outcome.letter.meaning)}{'[/]' if style else ''}"
+            code, seconds = ("", "") if outcome is None else (str(outcome.letter), f"{outcome.elapsed / SECOND:.3f}")
+            cells = (escape(row.bus), str(row.node_id), escape(name), result, code, seconds, escape(row.state))
             shown.append(dict(zip(COLUMNS, cells, strict=True)))
     if settings.json:
         screen.json(documents)

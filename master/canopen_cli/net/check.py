@@ -8,7 +8,8 @@ from typing import Any, Final, TypeAlias
 
 import click
 
-from canopen_cli.net.support import ChosenNetwork, choose_network, machine_argument, open_network
+from canopen_cli.net.support import ChosenNetwork, choose_network, open_network
+from canopen_cli.shared.named_machine import machine_argument
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
@@ -52,7 +53,6 @@ Strangers: TypeAlias = list[tuple[str, int]]
 @machine_argument
 @click.option("--identity", is_flag=True, help="Only who the nodes are, not their settings.")
 @common
-@click.pass_obj
 def check(settings: Settings, file: Path | None, identity: bool) -> int:
     """Compare each node with the machine file; nothing is written.
 

@@ -11,16 +11,6 @@ import click
 
 from canopen_cli.bus.scan import find_nodes
 from canopen_cli.shared.device_files import split_file
-from canopen_cli.shared.device_types import device_type_text
-from canopen_cli.shared.file_identity import (
-    DEVICE_TYPE,
-    IDENTITY,
-    PRODUCT_CODE,
-    VENDOR_ID,
-    differences,
-    identity_in,
-    is_identified,
-)
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import DEMO, NodeIds, Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode
@@ -31,6 +21,16 @@ from canopen_data import DataError
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import SUFFIXES, load_description
 from canopen_data.findings import DictionaryError
+from canopen_master.device_types import device_type_text
+from canopen_master.file_identity import (
+    DEVICE_TYPE,
+    IDENTITY,
+    PRODUCT_CODE,
+    VENDOR_ID,
+    differences,
+    identity_in,
+    is_identified,
+)
 from canopen_master.machine_file import BootSettings, BusEntry, MachineFile, NodeEntry, machine_text
 from canopen_master.machine_file.from_chains import bus_name
 from canopen_master.simulation.plant import DeviceEntry
@@ -64,7 +64,6 @@ class DeviceFile(NamedTuple):
 @click.option("--serials", is_flag=True, help="Expect the serial numbers, too: devices that were swapped are noticed.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
 @common
-@click.pass_obj
 def init(settings: Settings, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None) -> None:
     """Write a machine file of the nodes that a scan finds.
 
@@ -134,11 +133,12 @@ def _file_of(screen: Screen, node: NodeFound, files: Sequence[DeviceFile]) -> st
     """Return the file of a node's device: one with its vendor-ID and product code, which `canopen info -e` calls a MATCH.
 
     A vendor-ID of 0 is none: a file without one is not taken by itself. It is named if nothing in it contradicts the node.
+    So are those without a product code, if no other fits.
     """
     numbers = (node.device_type, *node.identity)
     names = (DEVICE_TYPE, *(name for _, name in IDENTITY))
     shown = {name: number for name, number in zip(names, numbers, strict=True) if number is not None}
-    fitting: list[str] = []
+    fitting, nameless = list[str](), list[str]()
     for each in files:
         known = identity_in(each.description, node.node_id)
         different = differences(known, shown)
@@ -154,10 +154,16 @@ def _file_of(screen: Screen, node: NodeFound, files: Sequence[DeviceFile]) -> st
             screen.say(
                 f"[yellow]node {node.node_id}: {escape(each.path)} is not taken by its product code alone: {why}. {takes}[/]"
             )
+        elif not different and not known.get(PRODUCT_CODE) and known.get(DEVICE_TYPE):
+            nameless.append(each.path)
     if len(fitting) > 1:
         listed = ", ".join(map(escape, fitting))
         screen.say(f"[yellow]node {node.node_id}: several files have its identity, so none is taken: {listed}[/]")
         return ""
+    if not fitting and nameless:
+        listed = ", ".join(map(escape, nameless))
+        takes = f"Try: -e {node.node_id}=FILE, if one is its file"
+        screen.say(f"[yellow]node {node.node_id}: these have its device type, and no product code to go by: {listed}. {takes}[/]")
     return fitting[0] if fitting else ""
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.machine.group import show_findings
-from canopen_cli.net.support import machine_argument, named_machine
+from canopen_cli.shared.named_machine import machine_argument, named_machine
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
@@ -34,7 +34,6 @@ EXAMPLE: Final = 'from = "encoder position_value" and to = "lift target_position
 @machine_argument
 @click.option("--dcf", "folder", metavar="DIR", help=f"Write a concise DCF for each node there: NAME{ENDING}.")
 @common
-@click.pass_obj
 def links(settings: Settings, file: Path | None, folder: str | None) -> int:
     """Show the PDOs for the links of a machine file: CAN-IDs, mappings, transmission types. No bus is opened.
 

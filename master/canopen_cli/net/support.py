@@ -5,31 +5,27 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Final
 
-import click
-
+from canopen_cli.shared.named_machine import named_machine
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.withholding import withheld
 from canopen_cli.simulation.devices import teller
 from canopen_master.machine_file import MachineFile
 from canopen_master.machine_file.boot_entries import BusNetwork, network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
-from canopen_master.session import open_master
+from canopen_master.session import BusSource, open_master
 from canopen_master.simulated_machine import devices_of_machine
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_master.simulation.serving import simulated_devices, virtual_buses
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.remote_node import RemoteNode
-
-YAML: Final = (".yaml", ".yml")
-
-machine_argument = click.argument("file", metavar="[MACHINE]", type=click.Path(dir_okay=False, path_type=Path), required=False)
-"""The machine file; without it that of -m or CANOPEN_MACHINE."""
+from canopen_transports import open_transport
 
 
 @dataclass(frozen=True)
@@ -69,19 +65,6 @@ class OpenNetwork:
         return {node_id: self.nodes[network.bus, node_id] for node_id in network.names}
 
 
-def named_machine(settings: Settings, path: Path | None) -> MachineFile:
-    """Return the machine of the argument, else of -m or CANOPEN_MACHINE. Raises a CommandError, DataError, DictionaryError."""
-    if path is not None and path.suffix.lower() in YAML:
-        raise usage("CO123", f"{path} is no machine file", tries=(f"canopen machine import {path} -o cell.toml",))
-    if path is not None:
-        settings.machine = path
-    machine = settings.machine_file()
-    if machine is None:
-        first = ("canopen net init -o cell.toml -b can0    (writes one of a scan)", "-m cell.toml")
-        raise usage("CO121", "no machine file was named", tries=first)
-    return machine
-
-
 def choose_network(settings: Settings, screen: Screen, path: Path | None) -> ChosenNetwork:
     """Return the networks that the options mean. Raises a CommandError, DataError, DictionaryError."""
     machine = named_machine(settings, path)
@@ -114,6 +97,10 @@ def _locators(settings: Settings, machine: MachineFile, listed: Sequence[str]) -
     return {listed[0]: settings.bus}
 
 
+def _dictionary_on(chosen: ChosenNetwork, network: BusNetwork, node_id: int) -> ObjectDictionary | None:
+    return chosen.dictionary_of(network, node_id) if node_id in network.names else None
+
+
 @asynccontextmanager
 async def open_network(settings: Settings, screen: Screen, chosen: ChosenNetwork) -> AsyncIterator[OpenNetwork]:
     """Open the buses while the block runs; for `-b demo` with the simulated devices of the machine. Nothing is sent."""
@@ -123,9 +110,12 @@ async def open_network(settings: Settings, screen: Screen, chosen: ChosenNetwork
             state = chosen.machine.beside(chosen.machine.state)
             keeper = ParameterKeeper(Path(state) if state else None)
             await stack.enter_async_context(simulated_devices(dict(made.values()), keeper=keeper))
-        opened = OpenNetwork(
-            await stack.enter_async_context(open_master(buses=chosen.locators, sdo_timeout=settings.sdo_timeout))
-        )
+        buses: dict[str, BusSource] = dict(chosen.locators)
+        if settings.dry_run:
+            for network in chosen.networks:
+                transport = await open_transport(chosen.locators[network.bus])
+                buses[network.bus] = withheld(transport, partial(_dictionary_on, chosen, network), network.bus)
+        opened = OpenNetwork(await stack.enter_async_context(open_master(buses=buses, sdo_timeout=settings.sdo_timeout)))
         for network in chosen.networks:
             for node_id in network.names:
                 node = opened.master.node(node_id, chosen.dictionary_of(network, node_id), bus=network.bus)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +10,6 @@ import click
 
 from canopen_cli.node.backup_reading import (
     check_indices,
-    counts_text,
     read_all,
     reading_as_json,
     reading_options,
@@ -24,9 +21,13 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
-from canopen_data.describing import EDS_VERSION
+from canopen_master.file_identity import DEVICE_TYPE, IDENTITY, differences, identity_in
+from canopen_master.way_back import bit_rate_for_dcf, counts_text, dcf_of
+from canopen_proto.indices import DEVICE_TYPE as DEVICE_TYPE_OBJECT
+from canopen_proto.indices import IDENTITY_OBJECT
 from canopen_proto.manager.parameters.backup import Backup, Reading
 from canopen_proto.manager.parameters.walk import COMMUNICATION
+from canopen_proto.multiplexer import mux
 from canopen_transports import TransportError
 from canopen_transports.locator import parse_locator
 
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", metavar="FILE.dcf", required=True, help="The new file.")
 @reading_options
 @common
-@click.pass_obj
 def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
     """Read all values of a node into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
@@ -60,6 +60,9 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
     bit_rate = bit_rate_of(settings)
     lost = write_dcf(output, found, description, bit_rate)
+    other = _other_device(found, description, node_id)
+    if other:
+        screen.say(f"[yellow]{escape(other)}[/]")
     if settings.json:
         unread = [reading_as_json(each) for each in found.readings if each.value is None]
         counts = {str(result): number for result, number in found.counts.items()}
@@ -69,7 +72,19 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     else:
         tell_unread(screen, found, lost)
         screen.say(f"{escape(output)}: backup of {node_text(node_id)}, {counts_text(found)}")
-    return ExitCode.OK if found.is_complete and not lost else ExitCode.PARTIAL
+    return ExitCode.OK if found.is_complete and not lost and not other else ExitCode.PARTIAL
+
+
+def _other_device(found: Backup, description: DeviceDescription | None, node_id: int) -> str:
+    """Return where the device contradicts the file by which it was read, in words; "" if it does not."""
+    if description is None:
+        return ""
+    read = {each.variable.mux: each.value for each in found.readings if isinstance(each.value, int) and each.value}  # 0: not told
+    places = {DEVICE_TYPE: mux(DEVICE_TYPE_OBJECT), **{name: mux(IDENTITY_OBJECT, sub) for sub, name in IDENTITY[:2]}}
+    different = differences(identity_in(description, node_id), {name: read[key] for name, key in places.items() if key in read})
+    if not different:
+        return ""
+    return f"{description.source} is the file of ANOTHER DEVICE, by {', '.join(map(str, different))}: it may have other objects"
 
 
 async def _backup(
@@ -82,12 +97,8 @@ async def _backup(
 
 def bit_rate_of(settings: Settings) -> int | None:
     """Return the bit rate in kbit/s if the bus of the options gives it and a DCF can hold it, else None."""
-    from canopen_data.description import BIT_RATES
-
     with suppress(TransportError):
-        bitrate = parse_locator(settings.required_bus()).bitrate
-        if bitrate is not None and bitrate // 1000 in BIT_RATES:
-            return bitrate // 1000
+        return bit_rate_for_dcf(parse_locator(settings.required_bus()).bitrate)
     return None
 
 
@@ -98,19 +109,6 @@ def write_dcf(output: str, found: Backup, description: DeviceDescription | None,
     description: the one used for reading; None: the data files, or a walk. Raises CommandError, also if the file is the one that
     describes the device.
     """
-    from canopen_data.backup_file import backup_file
-    from canopen_data.description import FileInfo
-
-    old = FileInfo(file_version=1, eds_version=EDS_VERSION) if description is None else description.file_info
-    now = datetime.datetime.now().astimezone()
-    file_info = replace(
-        old,
-        file_name=Path(output).name,
-        last_eds=old.last_eds or old.file_name,
-        modification_time=now.strftime("%I:%M%p"),
-        modification_date=now.strftime("%m-%d-%Y"),
-        modified_by="canopen backup",
-    )
-    made = backup_file(found, description, file_info, bit_rate)
+    made = dcf_of(found, description, Path(output).name, bit_rate, "canopen backup")
     write_file(output, made.data, *(() if description is None else (description.source,)))
     return made.lost

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, TypeVar
 
 import click
 import trio
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
-from canopen_cli.shared.options import Kind
+from canopen_cli.shared.options import TextKind, option_group
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import Screen, counted, escape, node_text
+from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import BusSession
 from canopen_cli.shared.values import as_json, hex_text, object_json, place_text, value_text
 from canopen_master.participant.subscription import Subscription
+from canopen_master.way_back import RESULT_WORDS
 from canopen_proto.abort import text_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Variable
@@ -23,9 +24,9 @@ from canopen_proto.machine import Event
 from canopen_proto.manager.parameters.backup import Backup, ObjectRead, Reading, ReadResult, back_up
 from canopen_proto.manager.parameters.walk import WalkProgress, back_up_by_names, walk
 from canopen_proto.procedures.steps import Procedure
+from canopen_transports.loop.beside import beside
 
 T = TypeVar("T")
-F = TypeVar("F", bound=Callable[..., Any])
 
 REDRAW: Final = 0.1
 """Seconds between two updates of the progress."""
@@ -35,38 +36,34 @@ MAX_LISTED: Final = 10
 _RANGE: Final = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,4})\s*(?:-\s*(?:0[xX])?([0-9A-Fa-f]{1,4})\s*)?")
 
 
-class Indices(Kind):
+class Indices(TextKind):
     """Ranges of indices, in hexadecimal: "1000-1FFF,6000-67FF"."""
 
     name = "indices"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[range, ...]:
+    def read(self, text: str) -> tuple[range, ...]:
         ranges = []
-        for part in str(value).split(","):
+        for part in text.split(","):
             match = _RANGE.fullmatch(part)
             first = int(match[1], 16) if match is not None else 0
             last = int(match[2] or match[1], 16) if match is not None else 0
             if not 0 < first <= last:
-                self.fail(f"{part.strip()!r} is not a range of indices such as 1000-1FFF", param, ctx)
+                raise ValueError(f"{part.strip()!r} is not a range of indices such as 1000-1FFF")
             ranges.append(range(first, last + 1))
         return tuple(ranges)
 
 
-def reading_options(command: F) -> F:
-    """Add the options that say what is to be read. The command takes `indices` and `domains`."""
-    options: list[Callable[[F], F]] = [
-        click.option(
-            "--walk",
-            "indices",
-            type=Indices(),
-            metavar="1000-1FFF,...",
-            help="Ask for all objects at these indices, whatever the dictionary says: for a device without a file.",
-        ),
-        click.option("--domains", is_flag=True, help="Read DOMAIN objects too: firmware, recordings ... These can be long."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+reading_options: Final = option_group(
+    click.option(
+        "--walk",
+        "indices",
+        type=Indices(),
+        metavar="1000-1FFF,...",
+        help="Ask for all objects at these indices, whatever the dictionary says: for a device without a file.",
+    ),
+    click.option("--domains", is_flag=True, help="Read DOMAIN objects too: firmware, recordings ... These can be long."),
+)
+"""The options that say what is to be read. The command takes `indices` and `domains`."""
 
 
 async def read_all(session: BusSession, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
@@ -88,25 +85,17 @@ async def shown(
     label: str,
     procedure: Procedure[T],
     *kinds: type[Event],
-    columns: Sequence[type[ProgressColumn]] = (MofNCompleteColumn,),
+    columns: Sequence[type[ProgressColumn]] = (MofNCompleteColumn, TimeRemainingColumn),
 ) -> T:
     """Run a procedure, with a bar on a terminal. kinds: its progress events, which have `done` and `total`, and perhaps a `step`.
     columns: behind the bar. label: before the bar."""
     if not screen.draws:
         return await session.master.run(procedure)
-    results: list[T] = []
-    failure: Exception | None = None
-    async with trio.open_nursery() as nursery:
+    async with beside(trio.open_nursery()) as nursery:
         with session.master.events(*kinds) as news:
             nursery.start_soon(_draw, screen, label, news, columns)
-            try:
-                results.append(await session.master.run(procedure))
-            except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
-                failure = error
-        nursery.cancel_scope.cancel()
-    if failure is not None:
-        raise failure
-    return results[0]
+            result = await session.master.run(procedure)
+    return result
 
 
 async def _draw(screen: Screen, label: str, news: Subscription[Any], kinds: Sequence[type[ProgressColumn]]) -> None:
@@ -123,24 +112,6 @@ async def _draw(screen: Screen, label: str, news: Subscription[Any], kinds: Sequ
 
 
 # ---- readings, for people and programs ----
-
-
-def counts_text(backup: Backup) -> str:
-    """Return a text such as "112 objects read; 3 write-only, 1 refused"."""
-    counts = backup.counts
-    read = counts.pop(ReadResult.READ, 0)
-    rest = ", ".join(f"{number} {_WORDS.get(result, str(result))}" for result, number in counts.items())
-    return f"{counted(read, 'object')} read" + (f"; {rest}" if rest else "")
-
-
-_WORDS: Final = {
-    ReadResult.KEPT_OUT: "kept out by ObjFlags",
-    ReadResult.DOMAIN: "DOMAIN (not read without --domains)",
-    ReadResult.ABSENT: "not in the device",
-    ReadResult.NO_ANSWER: "without an answer",
-    ReadResult.WRONG_LENGTH: "of a wrong length",
-    ReadResult.CONTESTED: "disturbed by another SDO client",
-}
 
 
 def tell_unread(screen: Screen, backup: Backup, lost: Sequence[Reading] = ()) -> None:
@@ -167,7 +138,7 @@ def tell_unread(screen: Screen, backup: Backup, lost: Sequence[Reading] = ()) ->
 
 def reason_text(reading: Reading) -> str:
     """Return why an object has no value."""
-    why = _WORDS.get(reading.result, str(reading.result))
+    why = RESULT_WORDS.get(reading.result, str(reading.result))
     if reading.result is ReadResult.WRONG_LENGTH and reading.data is not None:
         why = f"{len(reading.data)} bytes ({reading.data[:16].hex(' ')}) are no {reading.variable.data_type.name}"
     elif reading.abort_code is not None and reading.result.is_missing:

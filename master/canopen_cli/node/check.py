@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 import trio
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case
@@ -16,11 +16,11 @@ from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_cli.node.check_report import CaseRun, CheckReport, list_cases, write_junit
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import DEMO, Settings, common
+from canopen_cli.shared.options import DEMO, Settings, common, without_dry_run
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import Screen, escape, node_text
+from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session, read_dictionary
 from canopen_data.named_files import open_description
 from canopen_master.errors import MasterError, SdoRefusedError
@@ -48,8 +48,8 @@ ANY_NODE: Final = 1
 @click.option("--junit", metavar="F.xml", default="", help="Write the results to a file too, as JUnit does.")
 @click.option("--list", "only_list", is_flag=True, help="List the cases, and end.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
+@without_dry_run("a case is judged by what the node answers to its writes", "canopen check --list", "canopen check FILE.eds")
 @common
-@click.pass_obj
 def check(
     settings: Settings,
     target: str | None,
@@ -180,7 +180,7 @@ def _without_file(node_id: int) -> Exception:
 
 def _story(report: CheckReport) -> str:
     stored = "; what it stores may not be what it was" if any(each.stores for each in report.begun) else ""
-    return f"{len(report.runs)} of {report.total} cases were run; the node was reset{stored}"
+    return f"{len(report.runs)} of {counted(report.total, 'case')} run; the node was reset{stored}"
 
 
 async def _run_cases(settings: Settings, screen: Screen, report: CheckReport, cases: Sequence[Case], strict: bool) -> None:
@@ -232,7 +232,7 @@ def _progress(screen: Screen, report: CheckReport) -> Iterator[Callable[[Case], 
         yield lambda case: None
         return
     what = TextColumn(f"checking node {report.node_id}")
-    columns = (what, BarColumn(30), MofNCompleteColumn(), TextColumn("{task.description}"))
+    columns = (what, BarColumn(30), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=screen.err, transient=True, auto_refresh=False, get_time=trio.current_time) as progress:
         task = progress.add_task("", total=report.total)
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from canopen_cli.node.backup_reading import both_notations, shown, tell_unread
-from canopen_cli.shared.options import Kind, NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, TextKind, common
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -74,19 +75,19 @@ class ValueTolerance:
         return abs(one - other) <= max(self.absolute, self.relative * max(abs(one), abs(other)))
 
 
-class ToleranceKind(Kind):
+class ToleranceKind(TextKind):
     """A number, or a percentage: "5", "0.1", "1%"."""
 
     name = "tolerance"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ValueTolerance:
-        number, percent, rest = str(value).partition("%")
+    def read(self, text: str) -> ValueTolerance:
+        number, percent, rest = text.partition("%")
         try:
             size = float(number)
         except ValueError:
             size = -1.0
         if rest or not 0 <= size < 1e30:
-            self.fail(f"{value!r} is not a number such as 5, or a percentage such as 1%", param, ctx)
+            raise ValueError(f"{text!r} is not a number such as 5, or a percentage such as 1%")
         return ValueTolerance(relative=size / 100) if percent else ValueTolerance(absolute=size)
 
 
@@ -101,7 +102,6 @@ class ToleranceKind(Kind):
     "--id", "node_id", metavar="N", type=NodeId(), help="For defaults that depend on the node-ID, of files without one."
 )
 @common
-@click.pass_obj
 def compare(
     settings: Settings,
     left: str,
@@ -125,6 +125,10 @@ def compare(
 
     screen = settings.screen()
     live = settings.node_id(left) if settings.is_node(left) else None
+    if settings.is_node(right) and not Path(right).exists():
+        saved = f"node{settings.node_id(right)}.dcf"
+        tries = (f"canopen backup {right} -o {saved}", f"canopen compare {left} {saved}")
+        raise usage("CO123", f"a node is compared with a file, and {right} is a node", tries=tries)
     descriptions = [
         open_description(path, settings.encoding).description for path in ([right] if live is not None else [left, right])
     ]

@@ -10,7 +10,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.node.backup import bit_rate_of, write_dcf
-from canopen_cli.node.backup_reading import check_indices, counts_text, read_all, reading_as_json, reading_options, tell_unread
+from canopen_cli.node.backup_reading import check_indices, read_all, reading_as_json, reading_options, tell_unread
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
@@ -20,6 +20,7 @@ from canopen_cli.shared.session import open_session
 from canopen_cli.shared.values import hex_text, place_text, value_text
 from canopen_data.description import DeviceDescription
 from canopen_master.plain_text import clean, json_text
+from canopen_master.way_back import counts_text
 from canopen_proto.manager.parameters.backup import Backup, Reading
 
 FORMATS: Final = (".json", ".csv", ".dcf")
@@ -31,7 +32,6 @@ COLUMNS: Final = ("object", "name", "type", "access", "value", "hex")
 @click.option("-o", "--output", metavar="FILE", help="A file instead: .json, .csv or .dcf.")
 @reading_options
 @common
-@click.pass_obj
 def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool) -> int:
     """Read all objects of a node, and show them.
 

@@ -15,11 +15,11 @@ from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColu
 
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, Kind, NodeId, Settings, commanding, common
-from canopen_cli.shared.problem import CommandError, ExitCode
+from canopen_cli.shared.options import Duration, NodeId, Settings, TextKind, commanding, common
+from canopen_cli.shared.problem import CommandError, ExitCode, cannot_read
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import Screen, escape, node_text
+from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_master.errors import BusError
 from canopen_proto.frame import MAX_NODE_ID
@@ -59,22 +59,20 @@ STATES: Final[dict[int, str]] = {
 }
 
 
-class Identification(Kind):
+class Identification(TextKind):
     """A software identification: a number, or "crc32" for the CRC-32 of the file, which becomes None here."""
 
     name = "id"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | str:
-        if isinstance(value, int):
-            return value
-        if value == CRC32:
+    def read(self, text: str) -> int | str:
+        if text == CRC32:
             return CRC32
         try:
-            number = int(str(value), 0)
+            number = int(text, 0)
         except ValueError:
             number = -1
         if not 0 < number <= 0xFFFF_FFFF:
-            self.fail(f"{value!r} is no software identification: 1 to 0xFFFFFFFF, or {CRC32}", param, ctx)
+            raise ValueError(f"{text!r} is no software identification: 1 to 0xFFFFFFFF, or {CRC32}")
         return number
 
 
@@ -113,7 +111,6 @@ class ProgramToFlash:
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
 @common
-@click.pass_obj
 def flash(
     settings: Settings,
     node_id: int,
@@ -165,9 +162,7 @@ def image_in(path: Path) -> bytes:
         with path.open("rb") as file:
             image = file.read(MAX_IMAGE + 1)  # not the size that the file tells: that of /dev/zero is 0
     except OSError as error:
-        raise CommandError(
-            ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)
-        ) from error
+        raise cannot_read(path, error) from error
     if not 0 < len(image) <= MAX_IMAGE:
         seen = f"it has more than {MAX_IMAGE} bytes" if image else "it is empty"
         raise CommandError(ExitCode.BAD_FILE, "CO340", f"{path} is no program", seen=seen, tries=("check the path",))
@@ -180,7 +175,7 @@ def story(so_far: ProgramDownload) -> list[str]:
         return ["nothing was written"]
     if so_far.is_done:
         return [f"the program is written; {so_far.remark or 'it runs'}"]
-    share = f", {so_far.delivered} of {so_far.size} bytes" if 0 < so_far.delivered < so_far.size else ""
+    share = f", {so_far.delivered} of {counted(so_far.size, 'byte')}" if 0 < so_far.delivered < so_far.size else ""
     return [f'it was at "{so_far.step}"{share}', f"the device: {so_far.left}", AGAIN]
 
 
@@ -239,7 +234,7 @@ def _show_plan(settings: Settings, screen: Screen, wanted: ProgramToFlash, found
     status = "" if found.is_valid or found.status is None else f"; flash status: {found.status.text}"
     old = f"program {wanted.program} {state}, identification {_id_text(found.identification)}{status}"
     screen.fact(node_text(wanted.node_id), old)
-    new = f"{len(wanted.image)} bytes, CRC-32 0x{crc32(wanted.image):08X}"
+    new = f"{counted(len(wanted.image), 'byte')}, CRC-32 0x{crc32(wanted.image):08X}"
     expected = "not compared (--expect)" if wanted.expected is None else f"0x{wanted.expected:08X}"
     screen.fact("the new one", f"{wanted.path}: {new}; identification {expected}")
     if wanted.is_in(found) and not settings.force:
@@ -274,7 +269,7 @@ def _show_result(
     if not so_far.is_needed:
         screen.say(f"{who}: it runs, nothing was written")
     else:
-        what = f"{so_far.size} bytes written" if so_far.writes else "it was there already, and was started"
+        what = f"{counted(so_far.size, 'byte')} written" if so_far.writes else "it was there already, and was started"
         rewritten = f", the data {so_far.writes} times" if so_far.writes > 1 else ""
         ids = f"{_id_text(found.identification)} [bold]→ {_id_text(so_far.id_after)}[/]"
         screen.say(f"{who}: {what}{rewritten}, in {seconds:.1f} s. Identification {ids}")

@@ -7,17 +7,16 @@ from typing import Any
 
 import click
 
-from canopen_cli.shared.device_types import DRIVE_PROFILE, device_type_text, profile_of
-from canopen_cli.shared.file_identity import IDENTITY, differences, identity_in
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import Screen, node_text
+from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.description import DeviceDescription
-from canopen_master.errors import NodeSilentError, SdoRefusedError
+from canopen_master.device_types import DRIVE_PROFILE, profile_of
+from canopen_master.errors import NodeSilentError
+from canopen_master.identity_facts import Facts, identity_facts, read_standard
 from canopen_master.node import Node
 from canopen_proto import indices
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, text_for_people
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.drives.cia402.modes import describe_status, mode_name, supported_modes
@@ -35,18 +34,18 @@ MAX_PDOS_SHOWN = 8
 MAX_WAIT = 2.0
 """Seconds for a heartbeat that shows the NMT state."""
 
-Facts = dict[str, tuple[Any, str]]
-"""Facts about a node: a name for people -> (value for --json, text for people)."""
-
 
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @common
-@click.pass_obj
 def info(settings: Settings, node_id: int) -> None:
     """Show a node's identity, state, errors and PDOs.
 
     With -e FILE, also tell whether it is the device that the file describes.
+
+    \b
+    canopen info 3 -b demo
+    canopen info 5 -e drive.eds -b socketcan:can0
     """
     screen = settings.screen()
     facts = run(settings, screen, lambda: _info(settings, screen, node_id))
@@ -61,7 +60,7 @@ def info(settings: Settings, node_id: int) -> None:
 async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
     async with open_session(settings, screen) as session, session.turn(node_id):
         node = session.node(node_id)
-        facts = await identity_facts(session, node)
+        facts = await identity_facts(node, session.description_of(node.node_id))
         await _add_health(node, facts)
         await _add_pdos(session, node, facts)
         if profile_of(facts["device type"][0]) == DRIVE_PROFILE:
@@ -69,48 +68,8 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
         return facts
 
 
-async def identity_facts(session: BusSession, node: Node) -> Facts:
-    """Return what a node says it is, and whether its file (if it has one) is that of such a device."""
-    # Every device has this object: if the node does not answer, it is not there, and the error says so.
-    device_type = int.from_bytes(await node.read_bytes(indices.DEVICE_TYPE), "little")
-    facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
-    for name, index in (
-        ("name", indices.MANUFACTURER_DEVICE_NAME),
-        ("hardware version", indices.MANUFACTURER_HARDWARE_VERSION),
-        ("software version", indices.MANUFACTURER_SOFTWARE_VERSION),
-    ):
-        text = await _standard(node, index)
-        if isinstance(text, str) and (shown := text_for_people(text, DataType.VISIBLE_STRING).rstrip("\0 ")):
-            facts[name] = (shown, shown)
-    for subindex, name in IDENTITY:
-        number = await _standard(node, indices.IDENTITY_OBJECT, subindex)
-        if isinstance(number, int):
-            facts[name] = (number, f"0x{number:08X}")
-    description = session.description_of(node.node_id)
-    if description is not None:
-        facts["file"] = _compared(description, facts, node.node_id)
-    return facts
-
-
-def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:
-    """Compare the identity of the node with its file. A number that the file lacks, or has as 0, fits every node."""
-    known = identity_in(description, node_id)
-    different = differences(known, {name: raw for name, (raw, _) in facts.items() if isinstance(raw, int)})
-    is_compared = any(name in facts for name in known)
-    raw = {
-        "name": description.source,
-        "matches": not different if is_compared else None,
-        "different": [each._asdict() for each in different],
-    }
-    if not is_compared:
-        return raw, f"{description.source}: it gives no identity of the device"
-    if not different:
-        return raw, f"{description.source}: MATCH"
-    return raw, f"{description.source}: ANOTHER DEVICE by {', '.join(map(str, different))}"
-
-
 async def _add_health(node: Node, facts: Facts) -> None:
-    period = await _standard(node, indices.PRODUCER_HEARTBEAT_TIME)
+    period = await read_standard(node, indices.PRODUCER_HEARTBEAT_TIME)
     if node.nmt_state is None and isinstance(period, int) and period:
         with contextlib.suppress(NodeSilentError):
             await node.wait_for_heartbeat(min(1.5 * period / 1000, MAX_WAIT))
@@ -119,14 +78,14 @@ async def _add_health(node: Node, facts: Facts) -> None:
         facts["NMT state"] = (state.name, state.name.lower().replace("_", "-"))
     if isinstance(period, int):
         facts["heartbeat"] = (period, f"each {period} ms" if period else "off")
-    register = await _standard(node, indices.ERROR_REGISTER)
+    register = await read_standard(node, indices.ERROR_REGISTER)
     if isinstance(register, int):
         names = ", ".join(register_names(register)) if register else "no error"
         facts["error register"] = (register, f"{names}  (0x{register:02X})")
-    count = await _standard(node, indices.PREDEFINED_ERROR_FIELD)
+    count = await read_standard(node, indices.PREDEFINED_ERROR_FIELD)
     history = []
     for subindex in range(1, min(count, MAX_HISTORY) + 1 if isinstance(count, int) else 1):
-        entry = await _standard(node, indices.PREDEFINED_ERROR_FIELD, subindex)
+        entry = await read_standard(node, indices.PREDEFINED_ERROR_FIELD, subindex)
         if isinstance(entry, int):
             history.append(entry & 0xFFFF)
     if history:
@@ -169,33 +128,19 @@ def _object_name(dictionary: ObjectDictionary | None, index: int, subindex: int)
 
 
 async def _add_drive(node: Node, facts: Facts) -> None:
-    mode = await _standard(node, 0x6061)
-    statusword = await _standard(node, 0x6041)
+    mode = await read_standard(node, 0x6061)
+    statusword = await read_standard(node, 0x6041)
     if isinstance(statusword, int):
         words = describe_status(statusword, mode if isinstance(mode, int) else None)
         facts["statusword"] = (statusword, f"{', '.join(words)}  (0x{statusword:04X})")
     if isinstance(mode, int):
         facts["mode"] = (mode, mode_name(mode))
-    modes = await _standard(node, 0x6502)
+    modes = await read_standard(node, 0x6502)
     if isinstance(modes, int):
         facts["supported modes"] = (modes, ", ".join(mode_name(each) for each in supported_modes(modes)) + f"  (0x{modes:08X})")
-    position = await _standard(node, 0x6064)
+    position = await read_standard(node, 0x6064)
     if isinstance(position, int):
-        facts["position"] = (position, f"{position} counts")
-    error = await _standard(node, 0x603F)
+        facts["position"] = (position, f"{counted(position, 'count')}")
+    error = await read_standard(node, 0x603F)
     if isinstance(error, int) and error:
         facts["drive error"] = (error, f"0x{error:04X} {error_text(error)}")
-
-
-async def _standard(node: Node, index: int, subindex: int = 0) -> Value | None:
-    """Read an object with the type of the standard; None if the device refuses."""
-    try:
-        data = await node.read_bytes(index, subindex)
-    except SdoRefusedError:
-        return None
-    variable = find_standard(index, subindex)
-    data_type = variable.data_type if variable is not None else DataType.OCTET_STRING
-    try:
-        return decode(data, data_type)
-    except ValueRangeError:
-        return None

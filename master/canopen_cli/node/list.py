@@ -10,8 +10,8 @@ from typing import Any, Final
 import click
 
 from canopen_cli.bus.scan import find_nodes
-from canopen_cli.net.support import machine_argument, named_machine
 from canopen_cli.shared.chosen_machine import ChosenMachine
+from canopen_cli.shared.named_machine import machine_argument, named_machine
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
@@ -29,7 +29,6 @@ COLUMNS: Final = ("name", "node", "bus", "joints", "file", "boot", "there")
 @machine_argument
 @click.option("--look", is_flag=True, help="Look on the buses of the file which nodes are there, and which others.")
 @common
-@click.pass_obj
 def list_nodes(settings: Settings, file: Path | None, look: bool) -> int:
     """List the nodes of a machine file; with -b or --look also which are there.
 

@@ -15,8 +15,8 @@ from typing import IO, Any, Final
 
 import trio
 
-from canopen_cli.shared.problem import CommandError, ExitCode
-from canopen_cli.shared.screen import Screen, escape, node_text
+from canopen_cli.shared.problem import CommandError, ExitCode, cannot_read
+from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.values import object_json
 from canopen_master.node import Node
 from canopen_proto.dictionary import Variable
@@ -103,7 +103,7 @@ async def _compare(screen: Screen, node: Node, variable: Variable, path: str, bl
     raise CommandError(
         ExitCode.VERIFY_MISMATCH,
         "CO205",
-        f"node {node.node_id} took {path} for {variable.label}, but shows something else: {stream.size} bytes",
+        f"node {node.node_id} took {path} for {variable.label}, but shows something else: {counted(stream.size, 'byte')}",
         cause="the device converts what it gets, or the object reads as something else than what was written",
         node=node.node_id,
         index=variable.index,
@@ -123,9 +123,7 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
         try:
             file = stack.enter_context(open(path, "rb"))
         except OSError as error:
-            raise CommandError(
-                ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)
-            ) from error
+            raise cannot_read(path, error) from error
         yield file
 
 
@@ -133,13 +131,15 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
 def progress(screen: Screen, node: Node, variable: Variable, size: int | None) -> Iterator[Callable[[int], None]]:
     """Show a bar on a terminal once the transfer lasts longer than PATIENCE. Gives a function to call with the bytes so far.
     size: bytes in all; None: not known."""
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn  # a file's alone
+    # A file's alone:
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
     bar = Progress(
         TextColumn(f"{node_text(node.node_id)} {escape(variable.label)}"),
         BarColumn(),
         DownloadColumn(),
         TransferSpeedColumn(),
+        TimeRemainingColumn(),
         console=screen.err,
         auto_refresh=False,  # it is drawn when bytes came, without a thread
         transient=True,

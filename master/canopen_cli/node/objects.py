@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any, Protocol
@@ -10,7 +10,9 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 import click
 
 from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
+from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.new_files import check_new_file, new_file
+from canopen_cli.shared.numbers import NumberCommand
 from canopen_cli.shared.options import NodeOfObject, Settings, commanding, common, enabling, with_named_object
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
@@ -108,7 +110,6 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
 @_BLOCK
 @click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
 @common
-@click.pass_obj
 def read(
     settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None, output: str | None
 ) -> None:
@@ -123,7 +124,7 @@ def read(
     canopen read 3 1008 -o name.bin -b demo
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block)
-    keys = with_named_object(keys)
+    keys = with_named_object(keys, node_id)
     refuse_over_text(settings, output=output, block=block)
     if output is not None:
         if len(keys) > 1:
@@ -247,7 +248,7 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
         screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
 
 
-@click.command()
+@click.command(cls=NumberCommand)
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("words", metavar="OBJECT [VALUE]", nargs=-1)
 @_TYPE
@@ -257,7 +258,6 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
 @enabling
 @commanding
 @common
-@click.pass_obj
 def write(
     settings: Settings,
     node_id: int,
@@ -270,7 +270,7 @@ def write(
     """Write an object of a node, and show its value before and after.
 
     A VALUE is a number (12, 0x0C, -5), or the name of a constant. A value that does not fit the object is refused
-    before anything is sent. Negative numbers go behind `--`.
+    before anything is sent.
 
     \b
     canopen write 3 controlword sm_shutdown -b demo
@@ -278,24 +278,18 @@ def write(
     canopen write 5 1F50:01 --file firmware.bin
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
-    key, *values = with_named_object(words)
+    key, *values = with_named_object(words, node_id)
     if len(values) > 1:
         raise usage("CO001", f"one VALUE is written, not {len(values)}", tries=("a text with blanks in quotes",))
     text = values[0] if values else None
     refuse_over_text(settings, file=path, block=block, dry_run=settings.dry_run)
     if path is not None and text is None:
-        if settings.dry_run:
-            _show_unsent(settings, screen, lambda: _write_file(settings, screen, request, key, path))
-            return
-        written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
+        written = run_or_show(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
         return
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
-    if settings.dry_run:
-        _show_unsent(settings, screen, lambda: _write(settings, screen, request, key, text))
-        return
-    before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
+    before, after = run_or_show(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
     if settings.json:
         previous = None if before is None else as_json(before.variable, before.value)
         screen.json({**after.as_json(), "previous": previous, "verified": verify})
@@ -346,9 +340,3 @@ async def _write(
                     subindex=variable.subindex,
                 )
         return before, after
-
-
-def _show_unsent(settings: Settings, screen: Screen, work: Callable[[], Awaitable[object]]) -> None:
-    from canopen_cli.shared.withholding import show_unsent  # here: it needs much that `canopen read` does not
-
-    show_unsent(settings, screen, work)

@@ -5,33 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import click
 
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.node.restore_output import show, story, tell_unread, told
+from canopen_cli.shared.device_type import check_type
 from canopen_cli.shared.options import NodeId, Settings, commanding, common
-from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_cli.shared.withholding import kept_back
 from canopen_data.configured import moved_to
-from canopen_proto import indices
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.download_order import settings_of
-from canopen_proto.manager.parameters.backup import ObjectRead, upload_again
+from canopen_proto.manager.parameters.backup import ObjectRead
 from canopen_proto.manager.parameters.restore import ObjectRestored, Restoration, plan_restore
 from canopen_proto.manager.parameters.restore import restore as carry_out
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.steps import SdoTransferError
-
-IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
-"""Subindices of 0x1018 that show whether a device is of the type that a file describes."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +52,11 @@ class SettingsToRestore:
 @click.option("--all", "everything", is_flag=True, help="Write also what the device has already, if it could be read.")
 @click.option("--process-data", is_flag=True, help="Write set-points and outputs too: OUTPUTS SWITCH.")
 @click.option("--skip", metavar="OBJECT", multiple=True, help="Leave this object out; may be repeated.")
-@click.option("--to", metavar="NODE", type=NodeId(), help="Write another node than the file's; its COB-IDs move along.")
+@click.option("--to-node", "to", metavar="NODE", type=NodeId(), help="Write this node, not the file's; its COB-IDs move along.")
 @click.option("--any-device", is_flag=True, help="Also to a node, or a type of device, that the file is not of.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
 @common
-@click.pass_obj
 def restore(
     settings: Settings,
     node_id: int,
@@ -87,7 +81,7 @@ def restore(
     \b
     canopen restore 5 before.dcf --dry-run
     canopen restore 5 before.dcf --verify --store --yes
-    canopen restore 5 before.dcf --to 6
+    canopen restore 5 before.dcf --to-node 6
     """
     screen = settings.screen()
     dictionary = settings_in(path, node_id, any_device, settings.encoding, disturbed=settings.force)
@@ -130,7 +124,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
             cause="its COB-IDs are those of the other node, and no two nodes may have the same",
             tries=(
                 f"canopen restore {named} {path}",
-                f"canopen restore {named} {path} --to {node_id}    (its COB-IDs become those of node {node_id})",
+                f"canopen restore {named} {path} --to-node {node_id}    (its COB-IDs become those of node {node_id})",
                 "--any-device, to write it as it is",
             ),
         )
@@ -161,7 +155,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
 async def _restore(settings: Settings, screen: Screen, wanted: SettingsToRestore, so_far: list[Restoration]) -> None:
     async with open_session(settings, screen) as session, _claim(session, wanted):
         if not wanted.any_device:
-            await _check_identity(session, wanted)
+            await check_type(session, wanted.node_id, wanted.dictionary, wanted.path)
         node = session.node(wanted.node_id).remote
         planning = plan_restore(node, wanted.dictionary, wanted.values, **wanted.options)
         plan = await shown(session, screen, f"reading {node_text(wanted.node_id)}", planning, ObjectRead)
@@ -176,32 +170,3 @@ def _claim(session: BusSession, wanted: SettingsToRestore) -> AbstractAsyncConte
     if wanted.dry_run:
         return session.claim(wanted.node_id, wanted.dictionary)
     return session.claim_to_write(wanted.node_id)
-
-
-async def _check_identity(session: BusSession, wanted: SettingsToRestore) -> None:
-    """Return a CommandError if the device is not of the type that the file describes. A number that either lacks is no
-    difference."""
-    node = session.node(wanted.node_id)
-    for subindex, name in IDENTITY:
-        variable = wanted.dictionary.get(indices.IDENTITY_OBJECT, subindex)
-        expected = 0 if variable is None else variable.initial_of(wanted.node_id)
-        if not isinstance(expected, int) or not expected:
-            continue
-        try:
-            data = await session.master.run(upload_again(node.remote, indices.IDENTITY_OBJECT, subindex, False))
-        except SdoTransferError as failed:
-            if failed.origin is not AbortOrigin.PEER:
-                raise
-            continue
-        found = int.from_bytes(data, "little")
-        if found and found != expected:
-            raise CommandError(
-                ExitCode.DIFFERENT,
-                "CO207",
-                f"{node_text(wanted.node_id)} is not of the type that {wanted.path} describes; nothing was written",
-                seen=f"{name} 0x{found:08X}, in the file 0x{expected:08X}",
-                tries=(f"canopen info {wanted.node_id}", "--any-device, if that is what you want"),
-                node=wanted.node_id,
-                index=indices.IDENTITY_OBJECT,
-                subindex=subindex,
-            )

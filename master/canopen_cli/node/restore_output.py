@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from canopen_cli.node.backup_reading import both_notations
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.frames_shown import frames_json, frames_of
+from canopen_cli.shared.frames_shown import frames_of
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.values import as_json, hex_text, object_json, place_text
@@ -28,7 +28,7 @@ MAX_NAMED: Final = 5
 def show(screen: Screen, so_far: Restoration, path: str, *, unsent: Unsent | None = None) -> None:
     """Show the writes with the old value of each object; for a dry run (unsent), the planned ones and their frames."""
     plan, dry_run = so_far.plan, unsent is not None
-    frames = [] if unsent is None else frames_of(unsent.records, unsent.observer(), gone_out=unsent.gone_out)[0]
+    frames = [] if unsent is None else frames_of(unsent.records, unsent.dictionary_of, gone_out=unsent.gone_out)[0]
     writes = plan.writes if dry_run else so_far.done
     if screen.json_output:
         screen.json(
@@ -44,7 +44,7 @@ def show(screen: Screen, so_far: Restoration, path: str, *, unsent: Unsent | Non
                 "stored": so_far.stored and not dry_run,
                 "state_before": so_far.state_before.name if so_far.state_before is not None else None,
                 "done": so_far.is_done and not dry_run,
-                **({"frames": frames_json(frames)} if dry_run else {}),
+                **({"frames": [each.as_json() for each in frames]} if dry_run else {}),
             }
         )
         return
@@ -57,7 +57,7 @@ def show(screen: Screen, so_far: Restoration, path: str, *, unsent: Unsent | Non
     who = node_text(plan.node_id)
     if dry_run:
         screen.say(f"{who}: {counted(len(writes), 'write')} to do; nothing was written (--dry-run)")
-        for _, frame, service, text in frames:
+        for _, _, frame, service, text in frames:
             screen.out.print(f"[dim]{frame}  {escape(service)} {escape(text)}[/]", soft_wrap=True)
     elif so_far.is_done:
         screen.say(f"{who}: {counted(len(writes), 'write')} done{', and stored' if so_far.stored else ''}{_state_text(so_far)}")

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import click
 
-from canopen_cli.shared.options import Kind, NodeId, Settings, commanding, common
+from canopen_cli.shared.dry_run import run_or_show
+from canopen_cli.shared.options import NodeId, Settings, TextKind, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
-from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import open_session
-from canopen_cli.shared.withholding import show_unsent
 from canopen_proto.manager.parameters.restore import STORE_TIMEOUT
 from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STORE
 
@@ -21,19 +20,17 @@ GROUPS: Final = {"all": 1, "communication": 2, "application": 3}
 MAKERS: Final = range(4, 128)
 
 
-class ParameterGroup(Kind):
+class ParameterGroup(TextKind):
     """A group of parameters: one of GROUPS, or a subindex of the maker's."""
 
     name = "group"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        if isinstance(value, int):
-            return value
-        if value in GROUPS:
-            return GROUPS[value]
-        if not (str(value).isascii() and str(value).isdigit() and int(value) in MAKERS):
-            self.fail(f"{value!r} is none of {', '.join(GROUPS)}, nor a number of the maker's, 4 to 127", param, ctx)
-        return int(value)
+    def read(self, text: str) -> int:
+        if text in GROUPS:
+            return GROUPS[text]
+        if not (text.isascii() and text.isdigit() and int(text) in MAKERS):
+            raise ValueError(f"{text!r} is none of {', '.join(GROUPS)}, nor a number of the maker's, 4 to 127")
+        return int(text)
 
 
 _GROUP = click.option(
@@ -52,7 +49,6 @@ _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 @_YES
 @commanding
 @common
-@click.pass_obj
 def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
     """Have a device keep its present parameters over power-off (0x1010).
 
@@ -65,10 +61,7 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
     """
     screen = settings.screen()
     confirm(screen, f"store parameters of {node_text(node_id)}: they stay over power-off", yes, needed=not settings.dry_run)
-    if settings.dry_run:
-        show_unsent(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
-        return
-    run(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
+    run_or_show(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
     if settings.json:
         screen.json({"node": node_id, "index": STORE, "subindex": group, "stored": True})
     else:
@@ -82,7 +75,6 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
 @_YES
 @commanding
 @common
-@click.pass_obj
 def reset_defaults(settings: Settings, node_id: int, group: int, reset: bool, yes: bool) -> None:
     """Have a device take the defaults of its parameters from its next reset on (0x1011). Its node-ID may change with them.
 
@@ -95,10 +87,7 @@ def reset_defaults(settings: Settings, node_id: int, group: int, reset: bool, ye
     confirm(
         screen, f"forget stored parameters of {node_text(node_id)} for the defaults: {then}", yes, needed=not settings.dry_run
     )
-    if settings.dry_run:
-        show_unsent(settings, screen, lambda: _sign(settings, screen, node_id, RESTORE, group, resets=reset))
-        return
-    run(settings, screen, lambda: _sign(settings, screen, node_id, RESTORE, group, resets=reset))
+    run_or_show(settings, screen, lambda: _sign(settings, screen, node_id, RESTORE, group, resets=reset))
     if settings.json:
         screen.json({"node": node_id, "index": RESTORE, "subindex": group, "reset": reset})
     elif reset:

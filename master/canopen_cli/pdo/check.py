@@ -8,12 +8,13 @@ from typing import Any, Final
 import click
 
 from canopen_cli.bus.scan import find_nodes
-from canopen_cli.pdo.reading import object_name, read_pdos
+from canopen_cli.pdo.reading import read_all_pdos
 from canopen_cli.shared.options import NodeIds, Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.session import open_session
+from canopen_master.pdo_reading import object_name
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import ALL_NODE_IDS, can_id_of
 from canopen_proto.machine import SECOND
@@ -28,7 +29,6 @@ LISTEN: Final = 3 * SECOND // 2
 @click.command()
 @click.option("--ids", "node_ids", type=NodeIds(), help="Of which nodes: 3-8,12. By default of all that a scan finds.")
 @common
-@click.pass_obj
 def check(settings: Settings, node_ids: tuple[int, ...] | None) -> int:
     """Compare the PDOs of nodes: who sends to whom, lengths, CAN-IDs with two senders, PDOs nobody takes.
 
@@ -78,7 +78,7 @@ async def _read(
         for node_id in node_ids:
             async with session.turn(node_id):
                 node = session.node(node_id)
-                read = await read_pdos(session, node)
+                read = await read_all_pdos(session, node)
             for each in read:
                 if each.settings is None:
                     screen.say(f"[yellow]left out: {escape(each.remark)}[/]")

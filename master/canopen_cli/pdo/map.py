@@ -5,22 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import click
 
-from canopen_cli.pdo.reading import PdoName, PdoRead, objects_text, read_one, times_text, type_text
+from canopen_cli.pdo.reading import pdo_of
+from canopen_cli.shared.device_type import check_type
+from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, Kind, NodeId, Settings, commanding, common
+from canopen_cli.shared.options import Duration, NodeOfObject, Settings, TextKind, commanding, common, with_word_at_node
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
-from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_cli.shared.values import find_object
-from canopen_cli.shared.withholding import show_unsent
 from canopen_master.errors import NodeSilentError
 from canopen_master.node import Node
+from canopen_master.pdo_reading import PdoRead, objects_text, read_one, times_text, type_text
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID
@@ -37,18 +38,18 @@ _HEARTBEAT: Final = 1.5
 """Seconds to listen for the state that a node is in: longer than the usual heartbeat time."""
 
 
-class CanId(Kind):
+class CanId(TextKind):
     """The CAN-ID of a PDO: 0x185, or 389."""
 
     name = "can-id"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+    def read(self, text: str) -> int:
         try:
-            can_id = int(str(value), 0)
+            can_id = int(text, 0)
         except ValueError:
             can_id = -1
         if not 0 < can_id <= 0x7FF or check_can_id(can_id) is not None:
-            self.fail(f"{value!r} is no CAN-ID that a PDO may have: 0x181 to 0x57F, or 0x680 to 0x6DF", param, ctx)
+            raise ValueError(f"{text!r} is no CAN-ID that a PDO may have: 0x181 to 0x57F, or 0x680 to 0x6DF")
         return can_id
 
 
@@ -91,28 +92,27 @@ class MappingChange:
 
 
 @click.command("map")
-@click.argument("node_id", metavar="NODE", type=NodeId())
-@click.argument("pdo", metavar="PDO", type=PdoName())
-@click.argument("objects", metavar="[OBJECT]...", nargs=-1)
+@click.argument("node_id", metavar="NODE", type=NodeOfObject())
+@click.argument("words", metavar="PDO [OBJECT]...", nargs=-1)
 @click.option("--can-id", type=CanId(), help="Its CAN-ID: 0x1A5. By default as it is.")
 @click.option("--type", "kind", type=click.IntRange(0, 255), help="Transmission type: 1 at each SYNC, 255 by events ...")
 @click.option("--inhibit", type=Duration(0, 65_535 * INHIBIT_UNIT), help="The shortest time between two: 10ms.")
 @click.option("--event", "timer", type=Duration(0, 65_535 * MILLISECOND), help="The longest time between two: 100ms; 0: none.")
 @click.option("--off", is_flag=True, help="Switch it off.")
+@click.option("--any-device", is_flag=True, help="Also if the device is not of the type that its file (-e) describes.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
 @common
-@click.pass_obj
 def map_pdo(
     settings: Settings,
     node_id: int,
-    pdo: tuple[Direction, int],
-    objects: tuple[str, ...],
+    words: tuple[str, ...],
     can_id: int | None,
     kind: int | None,
     inhibit: Time | None,
     timer: Time | None,
     off: bool,
+    any_device: bool,
     yes: bool,
 ) -> None:
     """Give a PDO of a node other objects, or another CAN-ID, type or time, in the order of CiA 301.
@@ -123,9 +123,13 @@ def map_pdo(
 
     \b
     canopen pdo map 5 tpdo2 statusword position_actual_value --type 1 --dry-run
-    canopen pdo map 5 tpdo1 --event 100ms --yes
+    canopen pdo map 5:tpdo1 --event 100ms --yes
     canopen pdo map 5 rpdo3 --off --yes
     """
+    named = with_word_at_node(words, node_id)
+    if not named:
+        raise usage("CO001", "no PDO was named", tries=(f"canopen pdo show {node_id}    (those that it has)",))
+    pdo, objects = pdo_of(named[0]), named[1:]
     change = MappingChange(objects, can_id, kind, inhibit, timer, off)
     if change == MappingChange((), None, None, None, None, False):
         raise usage("CO001", "nothing to change was named", tries=(f"canopen pdo show {node_id}", "canopen pdo map --help"))
@@ -134,10 +138,7 @@ def map_pdo(
     screen = settings.screen()
     question = f"set up {pdo[0]} {pdo[1]} of {node_text(node_id)}: it becomes Pre-operational (a drive stops, or coasts)"
     confirm(screen, question, yes, needed=not settings.dry_run)
-    if settings.dry_run:
-        show_unsent(settings, screen, lambda: _map(settings, screen, node_id, pdo, change))
-        return
-    before, after, dictionary = run(settings, screen, lambda: _map(settings, screen, node_id, pdo, change))
+    before, after, dictionary = run_or_show(settings, screen, lambda: _map(settings, screen, node_id, pdo, change, any_device))
     if settings.json:
         screen.json({"node": node_id, "before": before.as_json(dictionary), "after": after.as_json(dictionary)})
         return
@@ -163,11 +164,14 @@ def entry_of(dictionary: ObjectDictionary, text: str, direction: Direction) -> i
 
 
 async def _map(
-    settings: Settings, screen: Screen, node_id: int, place: tuple[Direction, int], change: MappingChange
+    settings: Settings, screen: Screen, node_id: int, place: tuple[Direction, int], change: MappingChange, any_device: bool
 ) -> tuple[PdoRead, PdoRead, ObjectDictionary]:
     async with open_session(settings, screen) as session, session.claim_to_write(node_id):
         node = session.node(node_id)
-        before = await read_one(session, node, *place)
+        own = session.description_of(node_id)
+        if own is not None and change.objects and not any_device:  # by another device's file, names are other objects
+            await check_type(session, node_id, own.dictionary, own.source)
+        before = await read_one(session.master, node, *place)
         if before is None or before.settings is None:
             seen = f"node {node_id} has no {place[0]} {place[1]}" if before is None else before.remark
             raise CommandError(
@@ -185,7 +189,7 @@ async def _map(
             await node.nmt(NmtCommand.START)
         else:
             screen.say(f"{node_text(node_id)} stays Pre-operational: canopen nmt start {node_id}")
-        after = await read_one(session, node, *place)
+        after = await read_one(session.master, node, *place)
         assert after is not None
         return before, after, node.dictionary
 

@@ -1,192 +1,29 @@
-"""Read the PDOs of a node, with their times, and say in words when they are sent."""
+"""The PDOs that a command is about, as they are named on the command line; canopen_master/pdo_reading.py reads them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final
 
-import click
-
-from canopen_cli.shared.options import Kind
+from canopen_cli.shared.problem import usage
 from canopen_cli.shared.session import BusSession
-from canopen_master.errors import SdoRefusedError
 from canopen_master.node import Node
-from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.dictionary.standard import find_standard
-from canopen_proto.frame import can_id_of
-from canopen_proto.machine import MILLISECOND
-from canopen_proto.multiplexer import mapped
-from canopen_proto.pdo.configure import InvalidPdoError, read_pdo
-from canopen_proto.pdo.mapping import LAST_DUMMY_INDEX
-from canopen_proto.pdo.settings import (
-    CYCLIC_TYPES,
-    EVENT_TIMER,
-    INHIBIT_TIME,
-    INHIBIT_UNIT,
-    MAX_PDOS,
-    SYNC_START,
-    PdoSettings,
-    communication_index,
-    places_of,
-)
-from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import SdoTransferError
+from canopen_master.pdo_reading import PdoRead, read_pdos
+from canopen_proto.dictionary import Direction
+from canopen_proto.pdo.settings import MAX_PDOS
 
 _NAME: Final = re.compile(r"([rt])(?:x)?[ _-]?pdo[ _-]?([0-9]{1,3})", re.IGNORECASE)
-_TYPES: Final = {
-    (Direction.TPDO, 0): "at a SYNC after a change",
-    (Direction.TPDO, 252): "on request, as of the last SYNC",
-    (Direction.TPDO, 253): "on request",
-    (Direction.TPDO, 254): "by events of the maker",
-    (Direction.TPDO, 255): "by events",
-    (Direction.RPDO, 254): "at once",
-    (Direction.RPDO, 255): "at once",
-}
 
 
-class PdoRead(NamedTuple):
-    """A PDO of a device. settings: with its times, None where the device has none. sync_start: the SYNC counter at which it
-    begins, None: not there. remark: why there are no settings."""
-
-    direction: Direction
-    number: int
-    settings: PdoSettings | None
-    sync_start: int | None = None
-    remark: str = ""
-
-    @property
-    def name(self) -> str:
-        """The PDO for people."""
-        return f"{self.direction} {self.number}"
-
-    def as_json(self, dictionary: ObjectDictionary) -> dict[str, Any]:
-        """Return the PDO for --json."""
-        known: dict[str, Any] = {"pdo": self.name, "remark": self.remark or None}
-        pdo = self.settings
-        if pdo is None:
-            return known
-        return known | {
-            "valid": pdo.is_valid,
-            "can_id": can_id_of(pdo.key),
-            "cob_id": pdo.cob_id,
-            "transmission_type": pdo.transmission_type,
-            "sent": type_text(pdo),
-            "inhibit_time_ms": None if pdo.inhibit_time is None else pdo.inhibit_time / MILLISECOND,
-            "event_timer_ms": None if pdo.event_time is None else pdo.event_time / MILLISECOND,
-            "sync_start": self.sync_start,
-            "bytes": pdo.size,
-            "objects": [
-                {"index": index, "sub": subindex, "bits": bits, "name": object_name(dictionary, index, subindex)}
-                for index, subindex, bits in map(mapped, pdo.entries)
-            ],
-        }
+def pdo_of(text: str) -> tuple[Direction, int]:
+    """Return the PDO of a device that a text names: "tpdo1", "RPDO 2". Raises a CommandError."""
+    found = _NAME.fullmatch(text.strip())
+    if found is None or not 1 <= int(found[2]) <= MAX_PDOS:
+        raise usage("CO001", f"{text!r} is no PDO", seen=f"PDOs are tpdo1, rpdo2 ... up to {MAX_PDOS}")
+    return (Direction.RPDO if found[1].lower() == "r" else Direction.TPDO), int(found[2])
 
 
-class PdoName(Kind):
-    """A PDO of a device: "tpdo1", "RPDO 2"."""
-
-    name = "pdo"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Direction, int]:
-        if isinstance(value, tuple):
-            return value
-        found = _NAME.fullmatch(str(value).strip())
-        if found is None or not 1 <= int(found[2]) <= MAX_PDOS:
-            self.fail(f"{value!r} is no PDO: tpdo1, rpdo2 ... up to {MAX_PDOS}", param, ctx)
-        return (Direction.RPDO if found[1].lower() == "r" else Direction.TPDO), int(found[2])
-
-
-async def read_pdos(session: BusSession, node: Node) -> list[PdoRead]:
-    """Read all PDOs of a node, RPDOs first: those that its file has, else one after the other until it has no further one."""
+async def read_all_pdos(session: BusSession, node: Node) -> list[PdoRead]:
+    """Read all PDOs of a node; see `read_pdos`."""
     description = session.description_of(node.node_id)
-    found: list[PdoRead] = []
-    for direction, number, is_listed in _places(None if description is None else description.dictionary):
-        if not is_listed and number > 1 and (not found or found[-1][:2] != (direction, number - 1)):
-            continue  # it has no further one
-        each = await read_one(session, node, direction, number)
-        if each is not None:
-            found.append(each)
-    return found
-
-
-def _places(dictionary: ObjectDictionary | None) -> Iterator[tuple[Direction, int, bool]]:
-    if dictionary is not None and (listed := sorted(places_of(dictionary.objects), key=lambda each: (each[0].value, each[1]))):
-        yield from ((direction, number, True) for direction, number in listed)
-        return
-    for direction in Direction:
-        yield from ((direction, number, False) for number in range(1, MAX_PDOS + 1))
-
-
-async def read_one(session: BusSession, node: Node, direction: Direction, number: int) -> PdoRead | None:
-    """Read one PDO of a node, with its times; None if the device has none of this number."""
-    try:
-        settings = await session.master.run(read_pdo(node.remote, direction, number))
-    except SdoTransferError as failed:
-        if failed.abort_code not in ABSENT:
-            raise
-        return None
-    except InvalidPdoError as strange:  # multiplexed, or impossible
-        return PdoRead(direction, number, None, remark=str(strange))
-    index = communication_index(direction, number)
-    inhibit, timer, start = [await _optional(node, index, each) for each in (INHIBIT_TIME, EVENT_TIMER, SYNC_START)]
-    settings = replace(
-        settings,
-        inhibit_time=None if inhibit is None else inhibit * INHIBIT_UNIT,
-        event_time=None if timer is None else timer * MILLISECOND,
-    )
-    return PdoRead(direction, number, settings, start if direction is Direction.TPDO else None)
-
-
-async def _optional(node: Node, index: int, subindex: int) -> int | None:
-    try:
-        return int.from_bytes(await node.read_bytes(index, subindex), "little")
-    except SdoRefusedError as refused:
-        if refused.abort_code not in ABSENT:
-            raise
-        return None
-
-
-def type_text(pdo: PdoSettings) -> str:
-    """Return in words when a PDO is sent, or acts."""
-    kind = pdo.transmission_type
-    if (pdo.direction, kind) in _TYPES:
-        return _TYPES[pdo.direction, kind]
-    if pdo.direction is Direction.RPDO and (kind == 0 or kind in CYCLIC_TYPES):
-        return "at the next SYNC"
-    if kind in CYCLIC_TYPES:
-        return "at each SYNC" if kind == 1 else f"at every {kind} SYNCs"
-    return "reserved"
-
-
-def times_text(read: PdoRead) -> str:
-    """Return the times of a PDO that are set."""
-    pdo = read.settings
-    parts = []
-    if pdo is not None and pdo.event_time:
-        parts.append(f"{'at least' if pdo.direction is Direction.TPDO else 'expected'} each {pdo.event_time / MILLISECOND:g} ms")
-    if pdo is not None and pdo.inhibit_time:
-        parts.append(f"at most each {pdo.inhibit_time / MILLISECOND:g} ms")
-    if read.sync_start:
-        parts.append(f"from SYNC {read.sync_start} on")
-    return ", ".join(parts)
-
-
-def object_name(dictionary: ObjectDictionary, index: int, subindex: int) -> str:
-    """Return the name of a mapped object: in the dictionary, else in the standard, else its number."""
-    if index <= LAST_DUMMY_INDEX:
-        return "empty"
-    variable = dictionary.get(index, subindex) or find_standard(index, subindex)
-    return f"{index:04X}:{subindex:02X}" if variable is None else variable.name
-
-
-def objects_text(dictionary: ObjectDictionary, pdo: PdoSettings) -> str:
-    """Return the objects of a PDO in their order: "6041:00 statusword, 16 bits empty"."""
-    words = []
-    for index, subindex, bits in map(mapped, pdo.entries):
-        place, name = f"{index:04X}:{subindex:02X}", object_name(dictionary, index, subindex)
-        variable = dictionary.get(index, subindex)
-        part = f"/{bits}" if variable is not None and variable.bit_length not in (None, bits) else ""
-        words.append(f"{bits} bits empty" if index <= LAST_DUMMY_INDEX else f"{place}{part}{'' if name == place else ' ' + name}")
-    return ", ".join(words) or "nothing"
+    return await read_pdos(session.master, node, None if description is None else description.dictionary)

@@ -6,33 +6,36 @@ from typing import Final
 
 import click
 
-from canopen_cli.pdo.reading import PdoName, PdoRead, objects_text, read_one, read_pdos, times_text, type_text
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.pdo.reading import pdo_of, read_all_pdos
+from canopen_cli.shared.options import NodeOfObject, Settings, common, with_word_at_node
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
+from canopen_master.pdo_reading import PdoRead, objects_text, read_one, times_text, type_text
 from canopen_proto.dictionary import Direction, ObjectDictionary
 
 COLUMNS: Final = ("PDO", "CAN-ID", "sent or taken", "times", "bytes", "objects")
 
 
 @click.command()
-@click.argument("node_id", metavar="NODE", type=NodeId())
-@click.argument("pdos", metavar="[PDO]...", type=PdoName(), nargs=-1)
+@click.argument("node_id", metavar="NODE", type=NodeOfObject())
+@click.argument("words", metavar="[PDO]...", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Those that are switched off, too.")
 @common
-@click.pass_obj
-def show(settings: Settings, node_id: int, pdos: tuple[tuple[Direction, int], ...], everything: bool) -> None:
-    """Show the PDOs of a node: CAN-ID, when they are sent, times, and their objects by name. PDO: tpdo1, rpdo2 ...
+def show(settings: Settings, node_id: int, words: tuple[str, ...], everything: bool) -> None:
+    """Show the PDOs of a node: CAN-ID, when they are sent, times, and their objects by name. PDO: tpdo1, rpdo2 ...; the
+    first one may stand at its node.
 
     The device is asked: what its file says may be another thing.
 
     \b
     canopen pdo show 3 -b demo
+    canopen pdo show 5:tpdo1 -e drive.eds
     canopen pdo show 5 tpdo1 rpdo1 -e drive.eds
     """
     screen = settings.screen()
+    pdos = tuple(map(pdo_of, with_word_at_node(words, node_id)))
     found, dictionary = run(settings, screen, lambda: _read(settings, screen, node_id, pdos))
     shown = [each for each in found if everything or pdos or each.settings is None or each.settings.is_valid]
     if settings.json:
@@ -54,10 +57,10 @@ async def _read(
     async with open_session(settings, screen) as session, session.turn(node_id):
         node = session.node(node_id)
         if not pdos:
-            return await read_pdos(session, node), node.dictionary
+            return await read_all_pdos(session, node), node.dictionary
         found = []
         for direction, number in pdos:
-            each = await read_one(session, node, direction, number)
+            each = await read_one(session.master, node, direction, number)
             if each is None:
                 raise CommandError(
                     ExitCode.SDO_ABORT,

@@ -29,7 +29,6 @@ _CLOSE = 1e-9
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
 )
 @common
-@click.pass_obj
 def plot(settings: Settings, file: str, output: Path | None) -> None:
     """Draw a recording (--record): position, velocity, acceleration and following error.
 

@@ -40,7 +40,7 @@ class Nodes:
         return f"<the nodes of {self._session.bus}: nodes[5]>"
 
 
-def names_for(session: BusSession, node_id: int | None, args: Sequence[str] = ()) -> dict[str, Any]:
+def names_for(session: BusSession, node_id: int | None = None, args: Sequence[str] = ()) -> dict[str, Any]:
     """Return the names that the code finds. node_id: of `node`; None: there is none."""
     nodes = Nodes(session)
     names: dict[str, Any] = {
@@ -89,6 +89,9 @@ def failure_of(error: BaseException, name: str) -> CommandError:
         return known
     text = error.msg if isinstance(error, SyntaxError) else str(error)
     failed = f"{place}: {type(error).__name__}{f': {text}' if text else ''}"
-    problem = CommandError(ExitCode.DIFFERENT, "CO157", failed, tries=("the same with -vv, for the traceback",))
+    tries = ["the same with -vv, for the traceback"]
+    if isinstance(error, SyntaxError):
+        tries.insert(0, "Python, as in  print(await nodes[5].read('statusword'))  : no words of the command line")
+    problem = CommandError(ExitCode.DIFFERENT, "CO157", failed, tries=tries)
     problem.__cause__ = error
     return problem

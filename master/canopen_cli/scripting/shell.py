@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import AsyncIterator, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -19,14 +20,16 @@ import click
 import trio
 
 from canopen_cli.scripting.namespace import execute, failure_of, line_compiler, names_for
+from canopen_cli.scripting.text_plot import TextPlot, statement_of
 from canopen_cli.scripting.words import words_for
 from canopen_cli.shared.options import NodeId, Settings, common, enabling
-from canopen_cli.shared.problem import CommandError, ExitCode
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import read_input
 from canopen_cli.shared.running import first_of, run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
 from canopen_data import ENVIRONMENT_VARIABLE
+from canopen_master.node import Node
 
 if TYPE_CHECKING:
     from prompt_toolkit import PromptSession
@@ -50,18 +53,18 @@ class Lines(Protocol):
 @click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @enabling
 @common
-@click.pass_obj
 def shell(settings: Settings, node_id: int | None) -> None:
     """A Python prompt on an open bus, with `await`, completion of nodes, objects and constants, and history.
 
-    It has `master`, `nodes` (`nodes[5]`), `node` (that of NODE) and `bus`. Ctrl-C ends a statement, Ctrl-D the prompt; both halt
-    what it left moving. Without a terminal it reads statements from stdin. It needs prompt_toolkit at a terminal: pip install
-    'canopen-proto[shell]'.
+    It has `master`, `nodes` (`nodes[5]`), `node` (that of NODE), `bus` and `plot`. Ctrl-C ends a statement, Ctrl-D the prompt;
+    both halt what it left moving. Without a terminal it reads statements from stdin. At a terminal it needs prompt_toolkit: pip
+    install 'canopen-proto[shell]'.
 
     \b
     canopen shell 3 -b demo
     >>> await node.read("statusword")
     >>> await nodes[4].write("profile_velocity", 20000)
+    >>> plot 4:velocity_actual_value 10s
     echo 'await node.read("statusword")' | canopen shell 3 -b demo
     """
     screen = settings.screen()
@@ -69,7 +72,9 @@ def shell(settings: Settings, node_id: int | None) -> None:
 
     async def work() -> None:
         async with open_session(settings, screen) as session:
-            prompt = Prompt(screen, names_for(session, node_id))
+            names = names_for(session, node_id)
+            names["plot"] = TextPlot(screen, partial(_node_of, names)).plot
+            prompt = Prompt(screen, names)
             if lines is None:
                 await prompt.execute_all(await _input())
                 return
@@ -79,6 +84,16 @@ def shell(settings: Settings, node_id: int | None) -> None:
             await prompt.serve(lines)
 
     run(settings, screen, work)
+
+
+def _node_of(names: dict[str, Any], text: str | None) -> Node:
+    """Return a node for `plot`. text: None: that of the shell. Raises a CommandError."""
+    if text is not None:
+        node: Node = names["nodes"][text]
+        return node
+    if isinstance(names.get("node"), Node):
+        return names["node"]  # type: ignore[no-any-return]
+    raise usage("CO120", "this shell has no node of its own", tries=("plot 5:velocity_actual_value",))
 
 
 async def _input() -> str:
@@ -100,7 +115,7 @@ class Prompt:
     async def execute_all(self, text: str) -> None:
         """Execute statements, and show what each is worth. Raises a CommandError for the first that fails."""
         try:
-            statements = ast.parse(text, NAME).body
+            statements = ast.parse("\n".join(map(statement_of, text.split("\n"))), NAME).body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise failure_of(error, NAME) from error
         for each in statements:
@@ -125,7 +140,7 @@ class Prompt:
                 continue
             if line is None:
                 return
-            begun.append(line)
+            begun.append(line if begun else statement_of(line))
             try:
                 code = self._compile("\n".join(begun), NAME, "single")
             except (SyntaxError, ValueError, OverflowError, MemoryError, RecursionError) as error:

@@ -15,11 +15,14 @@ _DOTTED: Final = re.compile(r"([A-Za-z_][A-Za-z_0-9]*(?:\[[^\]\[]*\])?(?:\.[A-Za
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z_0-9]*\Z")
 _STRING: Final = re.compile(r"""([A-Za-z_][\w.\[\]'"]*?)(?:\.\w+\(|\[)\s*(?:["']([^"']*)["']\s*,\s*)?["']([^"']*)\Z""")
 """A string that is not closed, behind a call of a method, or an index, of something; perhaps its second argument."""
+_PLOT: Final = re.compile(r"^\s*plot\s+(?:[^\s(]+\s+)*([^\s(\"']*)\Z")
 _INDEX: Final = re.compile(r"nodes\[\s*([0-9]*)\Z")
 
 
 def words_for(text: str, names: Mapping[str, Any]) -> tuple[str, list[str]]:
     """Return what the last word of a line is so far, and what it may become. Nothing of the line is called."""
+    if found := _PLOT.search(text):
+        return _plotted(found[1], names)
     if found := _INDEX.search(text):
         return found[1], [each for each in _node_ids(names) if each.startswith(found[1])]
     if found := _STRING.search(text):
@@ -33,6 +36,16 @@ def words_for(text: str, names: Mapping[str, Any]) -> tuple[str, list[str]]:
     found = _NAME.search(text)
     begun = found[0] if found else ""
     return begun, _starting(begun, [*names, *keyword.kwlist]) if begun else []
+
+
+def _plotted(begun: str, names: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """Return the words for an object that is to be drawn: "5:velocity", or "velocity" of `node`."""
+    head, colon, rest = begun.partition(":")
+    node = _value_of(f"nodes[{head}]", names) if colon and head.isdecimal() else names.get("node")
+    before = f"{head}:" if colon and head.isdecimal() else ""
+    wanted = (rest if before else begun).lower()
+    objects = _objects(node) if isinstance(node, Node) else ()
+    return begun, sorted({f"{before}{each}" for each in objects if each.lower().startswith(wanted)})
 
 
 def _starting(begun: str, words: Iterable[str]) -> list[str]:

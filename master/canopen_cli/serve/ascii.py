@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_service, serve_door
 from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
 from canopen_gateway.ascii import AsciiDoor, bind_ascii_door
@@ -28,13 +28,7 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
 @click.option(
     "--unix", type=click.Path(dir_okay=False, path_type=Path), metavar="PATH", help="A Unix socket, for this user alone."
 )
-@click.option(
-    "--allow",
-    type=Permissions(),
-    default="",
-    metavar="KINDS",
-    help="What clients may change: write, motion, store, program, nmt, lss. By default nothing.",
-)
+@allowing
 @click.option(
     "--dialect",
     type=click.Choice(list(DIALECTS)),
@@ -45,7 +39,6 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
 @click.option("--reachable", is_flag=True, help="Other computers may reach it, though it has no password.")
 @lasting()
 @common
-@click.pass_obj
 def serve_ascii(
     settings: Settings,
     bind: str,

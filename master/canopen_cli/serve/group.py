@@ -14,6 +14,7 @@ COMMANDS: Final = {
         "Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.",
     ),
     "mcp": ("serve.assistant:serve_mcp", "Let an assistant read a machine, by the Model Context Protocol."),
+    "mqtt": ("serve.mqtt:serve_mqtt", "Tell an MQTT broker what a machine does, one way: states, values, emergencies."),
     "web": ("serve.web:serve_web", "Serve a machine as a page in a browser, and by HTTP, until Ctrl-C."),
     "zenoh": (
         "serve.zenoh:serve_zenoh",

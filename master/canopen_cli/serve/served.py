@@ -5,16 +5,18 @@ The machine is the bus of -b, or all buses of the machine file; with `-b demo` i
 
 from __future__ import annotations
 
+import gc
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager
 from typing import Protocol, Self, TypeVar
 
 import trio
 
+from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
 from canopen_cli.simulation.devices import teller
@@ -53,22 +55,28 @@ def serve_door(
     """Serve a door until Ctrl-C. bind: gives it its address, before anything else: a port in use is told while nothing moves yet.
     opened: the machine. tell: says where the door is. seconds: end after this time. Raises why the door failed, too."""
 
+    @first_error()
     async def serve() -> None:
         door = await bind()
         async with door, opened() as service:
             tell(door, service)
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with _old_objects_at_rest(), trio.move_on_after(math.inf if seconds is None else seconds):
                 await door.serve(service)
         if door.failure is not None:
             raise door.failure
 
-    async def serve_unwrapped() -> None:
-        try:
-            await serve()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
+    run_until_interrupted(settings, screen, serve)
 
-    run_until_interrupted(settings, screen, serve_unwrapped)
+
+@contextmanager
+def _old_objects_at_rest() -> Iterator[None]:
+    """Let the garbage collector leave alone, while the block runs, what was imported and read before: it would take 35 ms to look
+    at all of it, again and again, and that is three cycles of 10 ms (benchmarks/web_clients.py)."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @asynccontextmanager
@@ -80,11 +88,21 @@ async def open_service(settings: Settings, screen: Screen, allow: Collection[Per
 
 @asynccontextmanager
 async def open_served(settings: Settings, screen: Screen) -> AsyncIterator[Master]:
-    """Open the buses while the block runs. Raises a CommandError, BusError, DataError, DictionaryError."""
+    """Open the buses while the block runs. Raises as `open_with_files`."""
+    async with open_with_files(settings, screen) as (master, _):
+        yield master
+
+
+@asynccontextmanager
+async def open_with_files(settings: Settings, screen: Screen) -> AsyncIterator[tuple[Master, NodeFiles | None]]:
+    """Open the buses while the block runs; and the files of the nodes of the bus of -b. None: the machine file names those of all
+    its nodes, and the master has them. Raises a CommandError, BusError, DataError, DictionaryError."""
     machine = settings.machine_file()
     if machine is None:
         async with open_session(settings, screen) as session:
-            yield session.master
+            for node_id in session.files.node_ids:  # whoever asks for it later gets it as its file describes it
+                session.node(node_id)
+            yield session.master, session.files
         return
     locators = locators_of(settings, machine)
     async with AsyncExitStack() as stack:
@@ -92,7 +110,7 @@ async def open_served(settings: Settings, screen: Screen) -> AsyncIterator[Maste
             made = devices_of_machine(machine, locators, settings.overlays, teller(screen))
             await stack.enter_async_context(simulated_devices(dict(made.values())))
         opened = open_master(machine=machine, buses=locators, sdo_timeout=settings.sdo_timeout, watchdog=settings.watchdog)
-        yield await stack.enter_async_context(opened)
+        yield await stack.enter_async_context(opened), None
 
 
 def locators_of(settings: Settings, machine: MachineFile) -> dict[str, str]:

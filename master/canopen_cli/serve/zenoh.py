@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
-from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Kind, Settings, common, lasting
+from canopen_cli.shared.options import Settings, TextKind, common, lasting
+from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
 from canopen_gateway.fleet import FleetDoor, bind_fleet_door
@@ -18,16 +17,13 @@ from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
 from canopen_gateway.fleet.keys import check_name
 
 
-class SiteName(Kind):
+class SiteName(TextKind):
     """The name of a site in keys."""
 
     name = "name"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        try:
-            return check_name("site", str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+    def read(self, text: str) -> str:
+        return check_name("site", text)
 
 
 @click.command(name="zenoh")
@@ -43,17 +39,10 @@ class SiteName(Kind):
     help="A router; may be repeated. Then it only listens with --listen.",
 )
 @zenoh_file
-@click.option(
-    "--allow",
-    type=Permissions(),
-    default="",
-    metavar="KINDS",
-    help="What clients may change: write, motion, store, program, nmt, lss. By default nothing.",
-)
+@allowing
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
 @lasting()
 @common
-@click.pass_obj
 def serve_zenoh(
     settings: Settings,
     site: str,

@@ -2,7 +2,8 @@
 
 The bus is that of the nodes or joints that the command line names, or that of -b NAME, or the machine's only one. With -m, a -b
 that is no name of a bus in the file is another bus in that one's place, such as a simulated one. A machine of CANOPEN_MACHINE
-gives way to such a -b; CANOPEN_BUS gives way to every machine.
+gives way to such a -b; CANOPEN_BUS gives way to every machine. Behind the variables comes the configuration file
+(configuration.py), whose machine gives way to CANOPEN_BUS, too.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from canopen_cli.shared.importing import importing
 from canopen_cli.shared.problem import CommandError, usage
 
 if TYPE_CHECKING:
+    from canopen_cli.shared.configuration import Configuration
     from canopen_master.machine_file import MachineFile
 
+BUS_VARIABLE: Final = "CANOPEN_BUS"
 MACHINE_VARIABLE: Final = "CANOPEN_MACHINE"
 NUMBER: Final = re.compile(r"\s*[0-9].*")
 """A text that is meant as a node-ID: names do not begin with a digit."""
@@ -30,15 +33,30 @@ class ChosenMachine:
         self.bus = ""
         self._file: MachineFile | None = None
         self._path: Path | None = None
+        self._configuration: Configuration | None = None
+
+    @property
+    def configuration(self) -> Configuration:
+        """What the configuration file says; read once. Raises a CommandError."""
+        if self._configuration is None:
+            from canopen_cli.shared.configuration import read_configuration  # not for `canopen --help`
+
+            self._configuration = read_configuration()
+        return self._configuration
 
     @property
     def has_several(self) -> bool:
         """Whether the machine is read, and has several buses."""
         return self._file is not None and len(self._file.buses) > 1
 
+    def path(self, option: Path | None) -> Path | None:
+        """Return which machine file the user means, or None. option: of -m."""
+        path = option or (Path(os.environ[MACHINE_VARIABLE]) if os.environ.get(MACHINE_VARIABLE) else None)
+        return self.configuration.machine if path is None and not os.environ.get(BUS_VARIABLE) else path
+
     def file(self, option: Path | None, bus: str | None) -> MachineFile | None:
         """Return the machine, or None. option: of -m; bus: of -b. Raises DataError, DictionaryError."""
-        path = option or (Path(os.environ[MACHINE_VARIABLE]) if os.environ.get(MACHINE_VARIABLE) else None)
+        path = self.path(option)
         if path is None:
             return None
         if self._file is None or self._path != path:

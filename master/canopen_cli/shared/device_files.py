@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from canopen_cli.shared.options import node_id_of
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen
-from canopen_data.description import DeviceDescription
 from canopen_proto.dictionary import ObjectDictionary
+
+if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
 
 _OF_NODE: Final = re.compile(r"(0[xX][0-9A-Fa-f]+|[0-9]+)=(.+)")
 
-DeviceFiles = Mapping[int | None, DeviceDescription]
+DeviceFiles: TypeAlias = "Mapping[int | None, DeviceDescription]"
 """Descriptions by node-ID; under None the one for all other nodes."""
 
 

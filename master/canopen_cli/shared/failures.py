@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Final
 
 import click
@@ -20,7 +22,7 @@ from canopen_master import errors
 from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.dictionary import NotInDictionaryError
+from canopen_proto.dictionary import ConstantNotFoundError, NotInDictionaryError, ObjectNotFoundError
 from canopen_proto.drives.axis import DriveError, DriveInFaultError, HomingError, ModeUnsupportedError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.explained import Explained
@@ -67,9 +69,9 @@ def _of_group(group: BaseExceptionGroup[BaseException]) -> CommandError:
 def _of_expected(error: BaseException) -> CommandError | None:
     match error:
         case TransportError():
-            return _spoken(error, _of_bus(error.code))
+            return _told_of_recordings(_spoken(error, _of_bus(error.code)), error.locator)
         case errors.BusError():
-            return _spoken(error, _of_bus(error.code))
+            return _told_of_recordings(_spoken(error, _of_bus(error.code)), error.bus)
         case errors.SdoTimeoutError() | errors.NodeSilentError() | errors.CallTimeoutError():
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
@@ -101,7 +103,7 @@ def _of_expected(error: BaseException) -> CommandError | None:
             return _of_procedure(error)
         case NotInDictionaryError():
             failed, _, hint = str(error).partition("; ")
-            return usage("CO302", failed, tries=(hint,) if hint else ())
+            return usage("CO302", failed, tries=(hint,) if hint else _KEYS.get(type(error), ()))
         case ValueRangeError():
             return usage("CO304", str(error), seen="nothing was sent")
         case LocalProtocolError():
@@ -129,14 +131,48 @@ def _of_missing(error: ModuleNotFoundError) -> CommandError | None:
     return CommandError(ExitCode.CANNOT_OPEN, CANNOT_OPEN, failed, tries=(step,))
 
 
+_KEYS: Final[dict[type[NotInDictionaryError], tuple[str, ...]]] = {
+    ObjectNotFoundError: ("an index, such as 6041 or 6041:00, or a name",),
+    ConstantNotFoundError: ("a number, such as 100 or 0x64",),
+}
+"""What names an object, and a value, where nothing like what was typed is known."""
+_KINDS: Final = {
+    "is not a valid float.": "is not a number",
+    "is not a valid float range.": "is not a number",
+    "is not a valid integer.": "is not a whole number",
+    "is not a valid integer range.": "is not a whole number",
+}
+"""What click says of a value, in plainer words."""
+_WRONG_CHOICE: Final = re.compile(r": '([^']*)' is not one of (.*)")
+_EXTRA: Final = re.compile(r"Got unexpected extra argument \((\S+)\)")
+
+
+def _example_of(error: click.UsageError) -> list[str]:
+    """Return the first example on a command's page, if the user has left something out."""
+    if not isinstance(error, click.MissingParameter) or error.ctx is None:
+        return []
+    lines = map(str.strip, (error.ctx.command.help or "").splitlines())
+    found = [line.partition("    ")[0] for line in lines if line.startswith(f"{error.ctx.command_path} ")]
+    return [f"{each}    (an example)" for each in found[:1]]
+
+
 def _of_usage(error: click.UsageError) -> CommandError:
     command = error.ctx.command_path if error.ctx is not None else "canopen"
-    tries = [f"{command} --help"]
+    tries = [*_example_of(error), f"{command} --help"]
     if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
         tries.insert(0, f"negative numbers behind `--`: {command} ... -- {error.option_name}")
     text = error.format_message()
     if isinstance(error, click.MissingParameter):
         text = text.replace("\n\t", " ")  # click lists the choices in lines of their own
+    for kind, words in _KINDS.items():
+        text = text.replace(kind, words)
+    wrong = _WRONG_CHOICE.search(text)
+    if wrong is not None:
+        near = get_close_matches(wrong[1].lower(), re.findall("'([^']+)'", wrong[2]), 2)
+        tries[:0] = [f"did you mean {' or '.join(near)}?"] if near else []
+    extra = _EXTRA.search(text)
+    if extra is not None and error.ctx is not None and any("--bus" in each.opts for each in error.ctx.command.params):
+        tries.insert(0, f"-b {extra[1]}    (if it is a bus)")
     return usage("CO001", text, tries=tries)
 
 
@@ -144,6 +180,18 @@ def _of_bus(code: str) -> ExitCode:
     if code == NO_PERMISSION:
         return ExitCode.PERMISSION
     return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
+
+
+def _told_of_recordings(problem: CommandError, locator: str) -> CommandError:
+    """Add what takes a recording, if one was named as a bus. Returns the problem."""
+    if problem.code != BAD_LOCATOR or ":" in locator or not Path(locator).suffix:
+        return problem
+    from canopen_transports.log_files import LOSSES  # formats of logs need long to import
+
+    if Path(locator).suffix.lower() in (*LOSSES, ".txt"):
+        watching = "monitor, top, watch, emcy watch"
+        problem.tries = (f"--log {locator}    (a recording, in place of a bus: {watching})", f"canopen log decode {locator}")
+    return problem
 
 
 def advice(steps: Iterable[str]) -> list[str]:
@@ -213,6 +261,8 @@ _OF_GATEWAY = {
     gateway_errors.NO_BRIDGE: ExitCode.CANNOT_OPEN,
     gateway_errors.NOT_ALLOWED: ExitCode.PERMISSION,
     gateway_errors.NOT_OVER_TEXT: ExitCode.USAGE,
+    gateway_errors.NO_HISTORY: ExitCode.BAD_FILE,
+    gateway_errors.WRONG_QUERY: ExitCode.USAGE,
 }
 
 

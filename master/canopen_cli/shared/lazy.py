@@ -13,7 +13,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from canopen_cli.shared.importing import importing
+from canopen_cli.shared.importing import importing, start_is_over
 from canopen_cli.shared.problem import usage
 
 
@@ -55,6 +55,8 @@ class LazyGroup(NamingGroup):
             module = importlib.import_module(f"canopen_cli.{name}")
         command = getattr(module, function or cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
+        if not isinstance(command, LazyGroup):  # else there is more to import
+            start_is_over()
         return command
 
     def meant_by(self, ctx: click.Context, word: str) -> list[str]:

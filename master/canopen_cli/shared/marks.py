@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import codecs
 import os
+import unicodedata
 from collections.abc import Mapping
 from typing import IO, Final
 
@@ -19,6 +20,9 @@ _MARKS: Final = {
     "→": "->", "←": "<-", "─": "-", "━": "-", "│": "|", "…": "...", "°": "deg", "µ": "u", "·": ".", "²": "2", "³": "3", "±": "+-",
     "✔": "ok", "✘": "x", "●": "*", "’": "'", "“": '"', "”": '"', "–": "-", "—": "-", "\N{NO-BREAK SPACE}": " ",
 }  # fmt: skip
+_CELLS: Final = {"→": ">", "…": "~", "°": "o", "±": "~", "✔": "+"}
+_LINES: Final = range(0x2500, 0x2580)
+_BLOCKS: Final = range(0x2580, 0x25A0)
 _BRAILLE: Final = range(0x2800, 0x2900)
 _NOTHING: Final = 0x2800
 _LOCALES: Final = ("C", "POSIX")
@@ -29,6 +33,25 @@ def ascii_of(character: str) -> str:
     if ord(character) in _BRAILLE:  # the dots of a curve
         return " " if ord(character) == _NOTHING else "*"
     return _MARKS.get(character, "?")
+
+
+def cells_of(text: str) -> str:
+    """Return a text in ASCII that fills as many cells of a terminal: for a picture whose parts stand beside each other."""
+    return text if text.isascii() else "".join(each if each.isascii() else _cell_of(each) for each in text)
+
+
+def _cell_of(character: str) -> str:
+    number = ord(character)
+    if number in _LINES:
+        name = unicodedata.name(character)
+        sides = ("HORIZONTAL" in name or "LEFT" in name or "RIGHT" in name, "VERTICAL" in name or "UP" in name or "DOWN" in name)
+        return {(True, False): "-", (False, True): "|"}.get(sides, "+")
+    if number in _BLOCKS:
+        return "#"
+    if unicodedata.combining(character):
+        return ""
+    mark = _CELLS.get(character) or ascii_of(character)
+    return mark[0] * (2 if unicodedata.east_asian_width(character) in ("W", "F") else 1)
 
 
 def _handler(error: UnicodeError) -> tuple[str | bytes, int]:

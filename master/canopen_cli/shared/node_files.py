@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from canopen_cli.shared.device_files import DeviceFiles, description_of, read_device_files
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.screen import Screen
-from canopen_data.description import DeviceDescription
-from canopen_data.named_files import read_text
-from canopen_data.overlay import lay_over
 from canopen_proto.dictionary import ObjectDictionary
+
+if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
 
 
 class NodeFiles:
@@ -37,6 +38,17 @@ class NodeFiles:
             from canopen_master.machine_file.dictionaries import Dictionaries
 
             self._dictionaries = Dictionaries(self.machine, names)
+
+    @property
+    def of_all_others(self) -> ObjectDictionary:
+        """The dictionary of the nodes without a file of their own: of the file that was given for all, or else the data files."""
+        for_all = self._own.get(None)
+        return self.dictionary if for_all is None else for_all.dictionary
+
+    @property
+    def node_ids(self) -> tuple[int, ...]:
+        """The nodes that were given a file of their own (-e)."""
+        return tuple(node_id for node_id in self._own if node_id is not None)
 
     def description_of(self, node_id: int) -> DeviceDescription | None:
         """Return what a node's own file says; None for a node without a file."""
@@ -70,6 +82,9 @@ def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen)
     Raises UnusableFileError if a file cannot be read, DictionaryError for its faults.
     """
     for path in paths:
+        from canopen_data.named_files import read_text
+        from canopen_data.overlay import lay_over
+
         dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)
         for finding in findings:
             screen.detail(str(finding))

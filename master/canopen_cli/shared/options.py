@@ -2,7 +2,7 @@
 
 `common` adds -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They
 may also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus, and
-CANOPEN_MACHINE the machine file, if no option does.
+CANOPEN_MACHINE the machine file, if no option does; behind these the configuration file does (configuration.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
-from canopen_cli.shared.chosen_machine import MACHINE_VARIABLE, NUMBER, ChosenMachine
+from canopen_cli.shared.chosen_machine import BUS_VARIABLE, MACHINE_VARIABLE, NUMBER, ChosenMachine
 from canopen_cli.shared.importing import importing
 from canopen_cli.shared.problem import CommandError, usage
 from canopen_proto.frame import MAX_NODE_ID
@@ -36,7 +36,6 @@ else:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-BUS_VARIABLE: Final = "CANOPEN_BUS"
 _PLAIN: Final = re.compile(r"[0-9]*\.?[0-9]+")
 _COMMON_FLAGS: Final = "-b, -m, -e, --json, -v ..."
 _OBJECT: Final = "canopen.object"
@@ -134,20 +133,35 @@ class Settings:
         machine = None if Path(text).exists() else self.machine_file()
         return machine is not None and machine.node_of(text) is not None
 
+    def names_node(self, text: str) -> bool:
+        """Return whether a text is a node-ID, or a name in the machine file; the index of an object has four digits."""
+        if _NODE_ID.fullmatch(text):
+            return int(text, 16 if text[1:2] in "xX" else 10) <= MAX_NODE_ID and len(text) != len("1018")
+        machine = self.machine_file()
+        return machine is not None and machine.node_of(text) is not None
+
     def node_id(self, text: str, *, any_axis: bool = False) -> int:
         """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a CommandError.
 
         any_axis: see ChosenMachine.
         """
         machine = None if NUMBER.fullmatch(text) else self.machine_file()
-        return node_id_of(text) if machine is None else self.chosen.node_id(machine, text.strip(), any_axis=any_axis)
+        if machine is not None:
+            return self.chosen.node_id(machine, text.strip(), any_axis=any_axis)
+        try:
+            return node_id_of(text)
+        except CommandError as error:
+            if self.machine is None and self.bus and (other := os.environ.get(MACHINE_VARIABLE)) and not NUMBER.fullmatch(text):
+                error.seen = f"-b {self.bus} is no bus of {other}: {MACHINE_VARIABLE} does not count then"
+                error.tries = (f"-m {other} -b {self.bus}: the machine, with that bus in the place of its own", *error.tries)
+            raise
 
     def named_bus(self) -> str | None:
         """Return the bus that this command is about: of the machine file, else of -b or CANOPEN_BUS; None if it is not clear."""
         machine = self.machine_file()
         if machine is not None:
             return self.chosen.locator(machine, self.bus)
-        return self.bus or os.environ.get(BUS_VARIABLE) or None
+        return self.bus or os.environ.get(BUS_VARIABLE) or self.chosen.configuration.bus
 
     def required_bus(self, first: str = "-b demo                        six simulated drives, for trying things out") -> str:
         """Return the bus as `named_bus` does. Raises a CommandError if there is none. first: what to try first."""
@@ -168,6 +182,22 @@ class Settings:
         return bus
 
 
+class TextKind(Kind):
+    """A kind of argument that its text tells. What is no text was read before, and stays."""
+
+    def read(self, text: str) -> Any:
+        """Return the value of a text. Raises a ValueError or a CommandError that says what is wrong with it."""
+        raise NotImplementedError
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):
+            return value
+        try:
+            return self.read(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
 class NodeId(Kind):
     """A node-ID: decimal, or hexadecimal with 0x. With a machine file also the name of a joint or a node."""
 
@@ -178,7 +208,12 @@ class NodeId(Kind):
         if isinstance(value, int):
             return value
         settings = None if ctx is None else ctx.find_object(Settings)
-        return node_id_of(str(value)) if settings is None else settings.node_id(str(value), any_axis=self.any_axis)
+        try:
+            return node_id_of(str(value)) if settings is None else settings.node_id(str(value), any_axis=self.any_axis)
+        except CommandError as error:
+            if ctx is not None and Path(str(value)).suffix and any("--log" in each.opts for each in ctx.command.params):
+                error.tries = (f"--log {value}    (if it is a recording)", *error.tries)
+            raise
 
 
 class DriveId(NodeId):
@@ -188,36 +223,56 @@ class DriveId(NodeId):
 
 
 class NodeOfObject(NodeId):
-    """A node, perhaps with an object of it: "5", "5:6041", "lift:statusword". `with_named_object` has the object."""
+    """A node, perhaps with an object or a PDO of it: "5", "5:6041", "lift:statusword", "5:tpdo1". `with_named_object` and
+    `with_word_at_node` have it."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        node, colon, key = str(value).partition(":")
-        if colon and ctx is not None:
-            ctx.meta[_OBJECT] = key
-        return super().convert(node if colon else value, param, ctx)
+        return super().convert(value if ctx is None else without_object(str(value), ctx), param, ctx)
 
 
-def with_named_object(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the words behind the node, the first of which may stand at the node. Raises a CommandError if there is none."""
-    context = click.get_current_context()
-    key = context.meta.get(_OBJECT)
-    found = words if key is None else (key, *words)
-    if not found:
-        node = context.params.get("node_id")
-        raise usage("CO001", "no object was named", tries=(f"{context.command_path} {node} statusword",))
+def without_object(text: str, ctx: click.Context) -> str:
+    """Return the node in a text such as "5:6041". `with_named_object` has the object."""
+    node, colon, key = text.partition(":")
+    if colon:
+        ctx.meta[_OBJECT] = key
+    return node
+
+
+def with_named_object(words: tuple[str, ...], place: object) -> tuple[str, ...]:
+    """Return the objects that the words behind the node name, as `with_word_at_node` does. Raises a CommandError if there is
+    none."""
+    if not (found := with_word_at_node(words, place)):
+        path = click.get_current_context().command_path
+        raise usage("CO001", "no object was named", tries=(f"{path} {place} statusword",))
     return found
 
 
-class NodeIds(Kind):
+def with_word_at_node(words: tuple[str, ...], place: object) -> tuple[str, ...]:
+    """Return the words behind the node, the first of which may stand at the node: objects, or PDOs. Raises a CommandError if one
+    is of another node. place: the node, as the user may type it."""
+    context = click.get_current_context()
+    settings, key = context.find_object(Settings), context.meta.get(_OBJECT)
+    found = [] if key is None else [key]
+    for word in words:
+        node, colon, its_own = word.partition(":")
+        if not colon or settings is None or not settings.names_node(node):
+            found.append(word)
+        elif settings.node_id(node) == place:
+            found.append(its_own)
+        else:
+            tries = (f"{context.command_path} {word}    (in a command of its own)",)
+            raise usage("CO001", f"{word} is not of node {place}, which this command is about", tries=tries)
+    return tuple(found)
+
+
+class NodeIds(TextKind):
     """Several node-IDs: "1-32,40"."""
 
     name = "node-ids"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        if isinstance(value, tuple):
-            return value
+    def read(self, text: str) -> tuple[int, ...]:
         ids: dict[int, None] = {}
-        for part in str(value).split(","):
+        for part in text.split(","):
             first, dash, last = part.partition("-")
             low = node_id_of(first)
             high = node_id_of(last) if dash else low
@@ -227,7 +282,7 @@ class NodeIds(Kind):
         return tuple(ids)
 
 
-class Duration(Kind):
+class Duration(TextKind):
     """A time: "500ms", "2s", "100us"; only 0 needs no unit. In ns."""
 
     name = "time"
@@ -236,21 +291,16 @@ class Duration(Kind):
         self.low = low
         self.high = high
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Time:
-        if isinstance(value, int):
-            return value
+    def read(self, text: str) -> Time:
         from canopen_data.durations import parse_duration
 
-        try:
-            time = parse_duration(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+        time = parse_duration(text)
         if not self.low <= time <= self.high:
-            self.fail(f"{value} is outside {_time_text(self.low)} to {_time_text(self.high)}", param, ctx)
+            raise ValueError(f"{text} is outside {_time_text(self.low)} to {_time_text(self.high)}")
         return time
 
 
-class Seconds(Kind):
+class Seconds(TextKind):
     """How long something goes on: "10s", "500ms"; a number alone is seconds. In seconds, within a range."""
 
     name = "time"
@@ -260,21 +310,15 @@ class Seconds(Kind):
         self.high = high
         self.low_open = low_open
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        if isinstance(value, float):
-            return value
+    def read(self, text: str) -> float:
         from canopen_data.durations import parse_duration
 
-        text = str(value).strip()
-        try:
-            seconds = float(text) if _PLAIN.fullmatch(text) else parse_duration(text) / SECOND
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+        plain = text.strip()
+        seconds = float(plain) if _PLAIN.fullmatch(plain) else parse_duration(plain) / SECOND
         if not self.low <= seconds <= self.high or (self.low_open and seconds == self.low):
             least = "above" if self.low_open else "at least"
-            self.fail(
-                f"{value} is not {least} {self.low:g} s" + (f" and at most {self.high:g} s" * (self.high < math.inf)), param, ctx
-            )
+            most = f" and at most {self.high:g} s" if self.high < math.inf else ""
+            raise ValueError(f"{text} is not {least} {self.low:g} s{most}")
         return seconds
 
 
@@ -288,34 +332,32 @@ class FiniteRange(click.FloatRange):
         return number
 
 
-class Encoding(Kind):
+class Encoding(TextKind):
     """The encoding of a text: "gbk", "cp932", "cp1252"."""
 
     name = "encoding"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+    def read(self, text: str) -> str:
         from canopen_data.eds.encodings import is_encoding
 
-        if not is_encoding(str(value)):
-            self.fail(f"{value!r} is not an encoding such as gbk, cp932 or cp1252", param, ctx)
-        return str(value)
+        if not is_encoding(text):
+            raise ValueError(f"{text!r} is not an encoding such as gbk, cp932 or cp1252")
+        return text
 
 
-class Breakdown(Kind):
+class Breakdown(TextKind):
     """The simulated drive that breaks down, and when: "5@2.0"."""
 
     name = "node@seconds"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, float]:
-        if isinstance(value, tuple):
-            return value
-        node, at, seconds = str(value).partition("@")
+    def read(self, text: str) -> tuple[int, float]:
+        node, at, seconds = text.partition("@")
         try:
             time = float(seconds)
         except ValueError:
             time = -1.0
         if not at or not 0 <= time < 1e6:
-            self.fail(f"{value!r} is not of the form NODE@SECONDS, such as 5@2.0", param, ctx)
+            raise ValueError(f"{text!r} is not of the form NODE@SECONDS, such as 5@2.0")
         return node_id_of(node), time
 
 
@@ -325,7 +367,12 @@ def node_id_of(text: str) -> int:
     try:
         node_id = int(text, 16 if text.lower().startswith("0x") else 10)
     except ValueError:
-        hint = (f"0x{text}, if it is hexadecimal",) if re.fullmatch("[0-9A-Fa-f]{1,2}", text) else ()
+        node, colon, _ = text.partition(":")
+        hint: tuple[str, ...] = (f"0x{text}, if it is hexadecimal",) if re.fullmatch("[0-9A-Fa-f]{1,2}", text) else ()
+        if colon and node.isdecimal():
+            hint = (f"{node}    (the node alone: this command is about no single object)",)
+        elif not hint:
+            hint = ("canopen scan    (who is there?)", "-m FILE.toml    (a machine file gives nodes names)")
         raise usage("CO120", f"{text!r} is not a node-ID: 1 to {MAX_NODE_ID}, or hexadecimal with 0x", tries=hint) from None
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
@@ -347,7 +394,18 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
         setattr(settings, name, value)
 
 
-def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
+def option_group(*options: Callable[[Any], Any]) -> Callable[[F], F]:
+    """Return what adds several options to a command, whose help has them in this order."""
+
+    def add(command: F) -> F:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+def _option(*names: str, **attributes: Any) -> Callable[[F], F]:
     return click.option(*names, callback=_store, expose_value=False, **attributes)
 
 
@@ -379,62 +437,66 @@ def enabling(command: F) -> F:
     return added
 
 
-def commanding(command: F) -> F:
-    """Add the option of commands that change something on the bus: see withholding.py, and rehearsal.py for those of drives."""
-    added: F = _option("--dry-run", is_flag=True, help="Only read, and show the frames that would be sent.")(command)
-    return added
+commanding: Final = _option("--dry-run", is_flag=True, help="Only read, and show the frames that would be sent.")
+"""The option of commands that change something on the bus: see withholding.py, and rehearsal.py for those of drives."""
 
 
-def _common_option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
+def without_dry_run(why: str, *tries: str) -> Callable[[F], F]:
+    """Add --dry-run to a command for which it has no meaning: it is refused, with words. why: for the help, too. tries: what to
+    do instead."""
+
+    def refuse(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+        if value:
+            raise usage("CO123", f"{ctx.command_path} has no --dry-run: {why}", seen="nothing was sent", tries=tries)
+
+    return click.option("--dry-run", is_flag=True, expose_value=False, callback=refuse, help=f"Refused here: {why}.")
+
+
+def _common_option(*names: str, **attributes: Any) -> Callable[[F], F]:
     return _option(*names, cls=CommonOption, **attributes)
 
 
-def common(command: F) -> F:
-    """Add the options that every command has. The command takes `settings` by `@click.pass_obj`."""
-    options: list[Callable[[F], F]] = [
-        _common_option(
-            "-b",
-            "--bus",
-            metavar="BUS",
-            help=f"The bus: demo, socketcan:can0, pcan:PCAN_USBBUS1@500k, slcan:/dev/ttyACM0@250k ...  [env: {BUS_VARIABLE}]",
-        ),
-        _common_option(
-            "-m",
-            "--machine",
-            type=click.Path(dir_okay=False, path_type=Path),
-            metavar="FILE.toml",
-            help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
-        ),
-        _common_option(
-            "-e",
-            "--eds",
-            multiple=True,
-            metavar="[NODE=]FILE",
-            help="The device's own file (EDS, DCF, XDD, XDC), which names its objects; once for each device.",
-        ),
-        _common_option(
-            "--overlay",
-            "overlays",
-            multiple=True,
-            metavar="FILE.toml",
-            help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
-        ),
-        _common_option(
-            "--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."
-        ),
-        _common_option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
-        _common_option(
-            "--trace",
-            type=click.Path(dir_okay=False, path_type=Path),
-            metavar="FILE",
-            help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
-        ),
-        _common_option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
-        _common_option("--json", is_flag=True, help="Results and errors as JSON."),
-        _common_option("-q", "--quiet", is_flag=True, help="Only results and errors."),
-        _common_option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
-        _common_option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+common: Final = option_group(
+    _common_option(
+        "-b",
+        "--bus",
+        metavar="BUS",
+        help=f"The bus: demo, socketcan:can0, pcan:PCAN_USBBUS1@500k, slcan:/dev/ttyACM0@250k ...  [env: {BUS_VARIABLE}]",
+    ),
+    _common_option(
+        "-m",
+        "--machine",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE.toml",
+        help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
+    ),
+    _common_option(
+        "-e",
+        "--eds",
+        multiple=True,
+        metavar="[NODE=]FILE",
+        help="The device's own file (EDS, DCF, XDD, XDC), which names its objects; once for each device.",
+    ),
+    _common_option(
+        "--overlay",
+        "overlays",
+        multiple=True,
+        metavar="FILE.toml",
+        help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
+    ),
+    _common_option("--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."),
+    _common_option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
+    _common_option(
+        "--trace",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE",
+        help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
+    ),
+    _common_option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
+    _common_option("--json", is_flag=True, help="Results and errors as JSON."),
+    _common_option("-q", "--quiet", is_flag=True, help="Only results and errors."),
+    _common_option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
+    _common_option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
+    click.pass_obj,
+)
+"""The options that every command has. The command gets their values as its first argument, `settings`."""

@@ -11,6 +11,7 @@ import re
 import shlex
 from collections.abc import Iterable
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 from canopen_proto.explained import Explained
@@ -74,11 +75,7 @@ class CommandError(Explained, Exception):
     def on_bus(self, bus: str | None, machine: str | None = None) -> CommandError:
         """Add the bus of -b, and the machine file of -m, to each command that it advises, so that the next command asks the same
         bus. Returns itself."""
-        options = "".join(
-            f" {option} {shlex.quote(value)}" for option, value in (("-m", machine), ("-b", bus)) if value is not None
-        )
-        if options:
-            self.tries = tuple(_with_bus(step, options) for step in self.tries)
+        self.tries = tuple(with_bus(step, bus, machine) for step in self.tries)
         return self
 
     def as_json(self) -> dict[str, Any]:
@@ -103,15 +100,22 @@ def usage(code: str, failed: str, **more: Any) -> CommandError:
     return CommandError(ExitCode.USAGE, code, failed, **more)
 
 
+def cannot_read(path: str | Path, error: OSError) -> CommandError:
+    """Make a CommandError about a file that cannot be read."""
+    return CommandError(ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",))
+
+
 _ON_A_BUS = re.compile(
     r"canopen (?:lss [a-z-]+|net (?:check|boot|watch)|scan|info|read|write|nmt|home|drive|sim|backup|restore|flash|dump"
-    r"|store|reset-defaults|sync|time"
+    r"|store|reset-defaults|sync|time|monitor|top|tui|watch|listen|pdo|emcy|move|jog|shell"
     r"|(?:check|compare) [0-9])\b"
 )
 _BEFORE_BUS = re.compile(r"(?=    | -- |$)")  # before a remark, or before arguments that must stand last
 
 
-def _with_bus(step: str, options: str) -> str:
-    if _ON_A_BUS.match(step) is None or re.search(r" (-b|--bus|--help)\b", step) is not None:
+def with_bus(step: str, bus: str | None, machine: str | None) -> str:
+    """Return a step with -b and -m, if it is a command about a bus. bus, machine: what to put there; None: nothing."""
+    options = "".join(f" {option} {shlex.quote(value)}" for option, value in (("-m", machine), ("-b", bus)) if value is not None)
+    if not options or _ON_A_BUS.match(step) is None or re.search(r" (-b|--bus|--help)\b", step) is not None:
         return step
     return _BEFORE_BUS.sub(lambda place: options, step, count=1)

@@ -20,7 +20,7 @@ import trio.testing
 
 from canopen_cli.shared.frames_shown import show_frames
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.problem import CommandError, ExitCode
+from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import BusSession, open_session
@@ -37,7 +37,6 @@ from canopen_proto.machine import Time
 from canopen_proto.manager.parameters.walk import walk
 from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.observer.observer import Observer
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
@@ -137,7 +136,8 @@ def rehearse(
         with recording(frames):
             run(apart, screen, perform)
     finally:
-        show_frames(settings, screen, frames.records, Observer(session.dictionary_of))
+        records = [record._replace(channel="") for record in frames.records]
+        show_frames(settings, screen, records, lambda bus, node_id: session.dictionary_of(node_id))
     screen.say("nothing of this was sent: a simulated drive with the values of yours has answered. Yours may answer otherwise")
 
 
@@ -156,8 +156,7 @@ def likeness_of(node: Node) -> Procedure[Likeness]:
     read = yield from walk(node.remote, ranges, names=node.remote.dictionary)
     obstacle = drive_obstacle(read.dictionary)
     if obstacle:
-        raise CommandError(
-            ExitCode.USAGE,
+        raise usage(
             "CO410",
             f"no simulated drive can stand for {node_text(node.node_id)}, so nothing was rehearsed",
             seen=obstacle,

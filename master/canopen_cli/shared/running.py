@@ -12,9 +12,9 @@ from __future__ import annotations
 import logging
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
-from typing import Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import trio
 
@@ -48,11 +48,12 @@ def run(
     devices: bool = False,
     reads: Path | None = None,
     over_text: bool = False,
+    loop: Callable[..., Any] | None = None,
 ) -> T:
     """Run `command` and return its result.
 
     story: told on interruption. devices: this command is about its simulated devices. reads: a log file that it reads. over_text:
-    it has a way over a text gateway.
+    it has a way over a text gateway. loop: runs trio, as `trio.run` does.
 
     Raises a CommandError with status 130 after a Ctrl-C, a CommandError if --trace would overwrite a file, LogFileError if
     --trace cannot begin, and what the command raises.
@@ -61,9 +62,14 @@ def run(
         check_has_way(settings.named_bus())
     if settings.clock is None and settings.named_bus() == DEMO:
         settings.clock = PatientClock()
+
+    def work() -> T:
+        result: T = (loop or trio.run)(_run, screen, command, story, clock=settings.clock)
+        return result
+
     if settings.trace is None:
         with _warnings_on(screen):
-            return trio.run(_run, screen, command, story, clock=settings.clock)
+            return work()
     bus = settings.named_bus() or ""
     replayed = Path(bus.removeprefix("file:").partition("?")[0]) if bus.startswith("file:") else reads
     if replayed is not None and same_file(replayed, settings.trace):
@@ -73,7 +79,7 @@ def run(
 
     with _warnings_on(screen), recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
         try:
-            return trio.run(_run, screen, command, story, clock=settings.clock)
+            return work()
         finally:
             trace.close()
             settings.late = _missing(settings.trace, trace)
@@ -88,11 +94,12 @@ def run_until_interrupted(
     *,
     devices: bool = False,
     reads: Path | None = None,
+    loop: Callable[..., Any] | None = None,
 ) -> None:
-    """Run a command that is meant to end by Ctrl-C. devices, reads: as for `run`."""
+    """Run a command that is meant to end by Ctrl-C. devices, reads, loop: as for `run`."""
     screen.tell_at_once()
     try:
-        run(settings, screen, command, devices=devices, reads=reads)
+        run(settings, screen, command, devices=devices, reads=reads, loop=loop)
     except CommandError as ended:
         if ended.exit_code is not ExitCode.INTERRUPTED:
             raise
@@ -104,6 +111,16 @@ def first_of(error: BaseException) -> BaseException:
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     return error
+
+
+@asynccontextmanager
+async def first_error() -> AsyncIterator[None]:
+    """Raises the first error of what nurseries put into a group, with its own cause, in the place of the group."""
+    try:
+        yield
+    except ExceptionGroup as group:
+        first = first_of(group)
+        raise first from first.__cause__
 
 
 @contextmanager
@@ -131,11 +148,11 @@ def _missing(path: Path, trace: Trace) -> CommandError | None:
 
     tries = ("--trace FILE.log, where there is room",)
     if trace.failure is not None:
-        seen = f"{trace.failure.strerror} after {trace.recorded} frames"
+        seen = f"{trace.failure.strerror} after {counted(trace.recorded, 'frame')}"
     elif trace.left_out:
-        seen = f"{trace.left_out} frames are not in it ({path.suffix}: {LOSSES[path.suffix.lower()]})"
+        seen = f"{counted(trace.left_out, 'frame')} missing in it ({path.suffix}: {LOSSES[path.suffix.lower()]})"
     elif trace.lost:
-        seen, tries = f"{trace.lost} frames were lost before they could be recorded", ("once more, on a computer less busy",)
+        seen, tries = f"{counted(trace.lost, 'frame')} lost before being recorded", ("once more, on a computer less busy",)
     else:
         return None
     return CommandError(ExitCode.BAD_FILE, "CO343", f"the trace {path} is not complete", seen=seen, tries=tries)

@@ -28,6 +28,7 @@ from rich.text import Text
 from canopen_cli.shared.marks import put_marks
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.plain_text import clean, clean_lines, json_text
+from canopen_proto.explained import counted as counted
 
 WIDTH_OFF_TERMINAL: Final = 200
 """Columns of a table in a file or a pipe. No table of ours is wider, so nothing is cut."""
@@ -47,11 +48,6 @@ def escape(text: str) -> str:
 def node_text(node_id: int) -> str:
     """Return the text for a node, in both notations: 10 and 0x10 are two nodes."""
     return f"node {node_id} (0x{node_id:02X})"
-
-
-def counted(number: int, what: str) -> str:
-    """Return a text such as "1 error", "2 errors". what: in the singular."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 class Screen:

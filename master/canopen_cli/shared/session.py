@@ -18,7 +18,6 @@ from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import Screen, escape
 from canopen_data import load_dictionary
-from canopen_data.description import DeviceDescription
 from canopen_data.findings import Severity
 from canopen_master.claims.channel_claim import SHORT, channel_claim
 from canopen_master.claims.further_channels import FurtherChannels
@@ -40,6 +39,7 @@ from canopen_transports.tracing import tapped
 from canopen_transports.transport import Transport
 
 if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
     from canopen_master.simulation.serving import SimulatedDevices
 
 LISTEN_ON: Final = 1.5
@@ -150,7 +150,7 @@ async def open_session(
         elif heard is not None:
             opened = tapped(await open_transport(bus), heard)
         master = await stack.enter_async_context(
-            open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, watchdog=settings.watchdog)
+            open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.of_all_others, watchdog=settings.watchdog)
         )
         session = BusSession(master, files, bus, screen)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 from canopen_cli.shared.problem import usage
@@ -105,7 +106,11 @@ def find_object(dictionary: ObjectDictionary, key: str, type_name: str | None) -
         if type_name is None and standard is not None:
             return standard
         if type_name is None:
-            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
+            tries = [f"--type u16 (or another type) to reach {key} all the same"]
+            record = dictionary.objects.get(place[0])
+            if record is not None and not subindex:
+                tries.insert(0, f"{index.upper()}:{min(record.variables):02X}    (a subindex of it)")
+            raise usage("CO302", str(unknown), tries=tries) from None
         return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
 
 
@@ -142,3 +147,8 @@ def _number(text: str) -> int | float | None:
         return int(text) if text.lstrip("+-").isdecimal() else float(text)
     except ValueError:
         return None
+
+
+def identity_json(identity: Sequence[int | None]) -> dict[str, int | None]:
+    """Return the numbers of an identity (0x1018), or of an LSS address, for --json."""
+    return dict(zip(("vendor_id", "product_code", "revision_number", "serial_number"), identity, strict=True))

@@ -5,7 +5,8 @@ it: a frame that is not known to read never leaves. For the command to go on to 
 the devices' place, as by devices that take everything:
 
 - an SDO download, by an SDO server in the node's place. What was "written" is read from there afterwards, as --verify does;
-- an NMT command: the node's heartbeats come with the state that it would have, and a boot-up follows a reset;
+- an NMT command: the node's heartbeats come with the state that it would have, and a boot-up follows a reset. A node that "is
+  told" to send heartbeats (0x1017) sends one then, and one with each command;
 - LSS: the confirmation. A device that "has got" a node-ID boots with it.
 
 A real device may refuse what is accepted here.
@@ -18,7 +19,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypeVar
 
 import trio
 
@@ -37,11 +38,11 @@ from canopen_proto.frame import (
     UNCONFIGURED,
     Frame,
 )
+from canopen_proto.indices import PRODUCER_HEARTBEAT_TIME
 from canopen_proto.lss.messages import FROM_MASTER, FROM_SLAVE, LENGTH, LssService, LssState
 from canopen_proto.machine import NEVER, SECOND, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import ALL_NODES, COMMAND_OF_BYTE, NmtCommand, NmtState, target_of
-from canopen_proto.observer.observer import Observer
 from canopen_proto.parameter_storage import RESTORE, STORE
 from canopen_proto.sdo.codec import INITIATES, REQUESTS, SdoFrame, mux_in
 from canopen_proto.sdo.server import SdoServer
@@ -50,6 +51,8 @@ from canopen_transports.loop import AsyncResource
 from canopen_transports.record import Record
 from canopen_transports.tracing import Named
 from canopen_transports.transport import Received
+
+T = TypeVar("T")
 
 RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 _DOWNLOADS: Final = (SdoFrame.DOWNLOAD, SdoFrame.BLOCK_DOWNLOAD)
@@ -64,22 +67,22 @@ _COMMANDS: Final = frozenset({STORE, RESTORE})
 
 @dataclass
 class Unsent:
-    """The frames of a dry run. records: all that passed, and those that were kept back. gone_out: the places there of those that
-    were really sent. dictionary_of: that of a node."""
+    """The frames of a dry run. records: all that passed, and those that were kept back; the channel of each is its bus. gone_out:
+    the places there of those that were really sent. dictionaries: by bus, what gives the dictionary of a node."""
 
     records: list[Record] = field(default_factory=list)
     gone_out: set[int] = field(default_factory=set)
-    dictionary_of: Callable[[int], ObjectDictionary | None] = lambda node_id: None
+    dictionaries: dict[str, Callable[[int], ObjectDictionary | None]] = field(default_factory=dict)
 
-    def add(self, frame: Frame, *, sent: bool, gone_out: bool = False) -> None:
+    def add(self, bus: str, frame: Frame, *, sent: bool, gone_out: bool = False) -> None:
         """Add a frame, now. sent: by us."""
         if gone_out:
             self.gone_out.add(len(self.records))
-        self.records.append(Record(round(trio.current_time() * SECOND), "", frame, sent))
+        self.records.append(Record(round(trio.current_time() * SECOND), bus, frame, sent))
 
-    def observer(self) -> Observer:
-        """Return one that says what the frames mean."""
-        return Observer(self.dictionary_of)
+    def dictionary_of(self, bus: str, node_id: int) -> ObjectDictionary | None:
+        """Return the dictionary of a node."""
+        return self.dictionaries[bus](node_id)
 
 
 _unsent: Final[ContextVar[Unsent | None]] = ContextVar("dry run under way", default=None)
@@ -127,6 +130,7 @@ class Withholding:
     def __init__(self) -> None:
         self._nodes: dict[int, _InPlace] = {}
         self._states: dict[int, NmtState] = {}
+        self._beating: set[int] = set()  # nodes that were "told" to send heartbeats
         self._new_id = UNCONFIGURED  # of the selected LSS slave
         self._present_id = UNCONFIGURED
 
@@ -155,7 +159,7 @@ class Withholding:
                 place.server.handle_timeout(now)  # the rest of a burst
             answered, place.out.frames[:] = list(place.out.frames), []
             place.out.events.clear()
-            return answered
+            return [*answered, *self._new_heartbeat(node_id)]
         return []
 
     def heard(self, frame: Frame) -> Frame:
@@ -167,6 +171,17 @@ class Withholding:
             return frame
         return Frame(frame.can_id, bytes((frame.data[0] & 0x80 | state,)))  # the toggle bit of guarding stays
 
+    def _new_heartbeat(self, node_id: int) -> list[Frame]:
+        """Return the first heartbeat of a node that has just been "told" to send them (0x1017)."""
+        time = self._node(node_id).store.values.get(mux(PRODUCER_HEARTBEAT_TIME, 0))
+        if node_id in self._beating or not time or not any(time):
+            return []
+        self._beating.add(node_id)
+        return [self._heartbeat(node_id)]
+
+    def _heartbeat(self, node_id: int) -> Frame:
+        return Frame(ERROR_CONTROL + node_id, bytes((self._states.get(node_id, NmtState.PRE_OPERATIONAL),)))
+
     def _node(self, node_id: int) -> _InPlace:
         if node_id not in self._nodes:
             self._nodes[node_id] = _InPlace(node_id)
@@ -174,9 +189,13 @@ class Withholding:
 
     def _on_nmt(self, command: NmtCommand, node_id: int) -> list[Frame]:
         is_reset = command in RESETS
+        if is_reset:
+            self._beating.clear()
         state = NmtState.PRE_OPERATIONAL if is_reset else target_of(command)
         self._states.update(dict.fromkeys(range(1, MAX_NODE_ID + 1) if node_id == ALL_NODES else (node_id,), state))
-        if not is_reset or node_id == ALL_NODES:
+        if not is_reset:
+            return [self._heartbeat(each) for each in sorted(self._beating) if node_id in (ALL_NODES, each)]
+        if node_id == ALL_NODES:
             return []
         return [self._boot_up(self._take_new_id() if node_id == self._present_id else node_id)]
 
@@ -203,8 +222,9 @@ class Withholding:
 class WithholdingTransport(AsyncResource):
     """A transport that sends only what reads."""
 
-    def __init__(self, transport: Named, unsent: Unsent) -> None:
+    def __init__(self, transport: Named, unsent: Unsent, bus: str = "") -> None:
         self.locator = transport.locator
+        self._bus = bus
         self._transport = transport
         self._unsent = unsent
         self._rules = Withholding()
@@ -213,7 +233,7 @@ class WithholdingTransport(AsyncResource):
 
     async def send(self, frame: Frame) -> None:
         goes_out = self._rules.goes_out(frame)
-        self._unsent.add(frame, sent=True, gone_out=goes_out)
+        self._unsent.add(self._bus, frame, sent=True, gone_out=goes_out)
         if goes_out:
             await self._transport.send(frame)
         else:
@@ -240,15 +260,15 @@ class WithholdingTransport(AsyncResource):
         if not isinstance(received, tuple):
             return received
         frame = self._rules.heard(received[0])
-        self._unsent.add(frame, sent=False)
+        self._unsent.add(self._bus, frame, sent=False)
         return frame, received[1]
 
 
-def withheld(transport: Named, dictionary_of: Callable[[int], ObjectDictionary | None]) -> WithholdingTransport:
-    """Return the transport, which from now on sends only what reads."""
+def withheld(transport: Named, dictionary_of: Callable[[int], ObjectDictionary | None], bus: str = "") -> WithholdingTransport:
+    """Return the transport, which from now on sends only what reads. bus: its name, for a command that may have several."""
     unsent = _unsent.get() or Unsent()
-    unsent.dictionary_of = dictionary_of
-    return WithholdingTransport(transport, unsent)
+    unsent.dictionaries[bus] = dictionary_of
+    return WithholdingTransport(transport, unsent, bus)
 
 
 @contextmanager
@@ -262,14 +282,16 @@ def kept_back() -> Iterator[Unsent]:
         _unsent.reset(token)
 
 
-def show_unsent(settings: Settings, screen: Screen, command: Callable[[], Awaitable[object]]) -> None:
-    """Run a command without sending what it would send (--dry-run), and show that.
+def show_unsent(settings: Settings, screen: Screen, command: Callable[[], Awaitable[T]]) -> T:
+    """Run a command without sending what it would send (--dry-run), and show that. Nothing of its result, which is returned, has
+    happened.
 
-    Raises what the command raises, once the frames up to there are shown. Its result is of no use: nothing has happened.
+    Raises what the command raises, once the frames up to there are shown.
     """
     with kept_back() as unsent:
         try:
-            run(settings, screen, command)
+            result = run(settings, screen, command)
         finally:
-            show_frames(settings, screen, unsent.records, unsent.observer(), gone_out=unsent.gone_out)
+            show_frames(settings, screen, unsent.records, unsent.dictionary_of, gone_out=unsent.gone_out)
     screen.say("nothing of this was sent (--dry-run). A device may refuse what is accepted here")
+    return result

@@ -7,9 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
-
-import click
+from typing import Final
 
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.options import NodeIds, Settings
@@ -35,13 +33,11 @@ _WITH_IDS: Final = re.compile(r"([0-9][0-9A-Fa-fxX,-]*)=(.+)")
 class SimulatedIds(NodeIds):
     """Node-IDs of simulated devices: "1-32,40"; 255 for a device without one, as often as there are such devices."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        if isinstance(value, tuple):
-            return value
-        parts = str(value).split(",")
+    def read(self, text: str) -> tuple[int, ...]:
+        parts = text.split(",")
         without = [part for part in parts if part.strip().lower() in ("255", "0xff")]
         others = ",".join(part for part in parts if part not in without)
-        return (super().convert(others, param, ctx) if others else ()) + (UNCONFIGURED,) * len(without)
+        return (super().read(others) if others else ()) + (UNCONFIGURED,) * len(without)
 
 
 def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> PlantFile:
@@ -60,7 +56,7 @@ def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common
     entries = []
     for name in files:
         match = None if Path(name).exists() else _WITH_IDS.fullmatch(name)
-        ids = () if match is None else SimulatedIds().convert(match[1], None, None)
+        ids = () if match is None else SimulatedIds().read(match[1])
         entries.append(replace(common, file=name if match is None else match[2], node_ids=ids))
     if node_ids is not None:
         if len(entries) > 1 or entries[0].node_ids:

@@ -79,7 +79,6 @@ DEFAULT_IDS: Final = DEMO_NODES
 @click.option("--erase-time", type=Duration(MILLISECOND), help="Of boot loaders.  [default: 300ms]")
 @lasting()
 @common
-@click.pass_obj
 def sim(
     settings: Settings,
     files: tuple[str, ...],
@@ -151,10 +150,10 @@ def sim(
 
     async def serve() -> None:
         what, block = devices()
-        screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
-        if locator.startswith("virtual:"):
-            screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
         async with block as served:
+            screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+            if locator.startswith("virtual:"):
+                screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
             if settings.json:
                 screen.json({"bus": locator, "nodes": served.node_ids})
             await trio.sleep(math.inf if seconds is None else seconds)
@@ -168,9 +167,9 @@ def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, sta
     keeper = _keeper(state or machine.beside(machine.state))
 
     async def serve() -> None:
-        for name, (locator, made) in by_bus.items():
-            screen.say(f"[bold]{counted(len(made), 'simulated device')} on {escape(name)}[/], {escape(locator)}")
         async with simulated_devices(dict(by_bus.values()), _event_teller(screen), keeper=keeper, say=partial(_report, screen)):
+            for name, (locator, made) in by_bus.items():
+                screen.say(f"[bold]{counted(len(made), 'simulated device')} on {escape(name)}[/], {escape(locator)}")
             if settings.json:
                 screen.json({name: locator for name, (locator, _) in by_bus.items()})
             await trio.sleep(math.inf if seconds is None else seconds)

@@ -1,0 +1,1 @@
+"""`canopen tui`: a view of a machine that stays open in a terminal: nodes, objects, emergencies, values, traffic, drives."""

@@ -1,0 +1,109 @@
+"""What the view shows at one moment: made on trio's side, looked at by the view, never changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple
+
+from canopen_gateway.plain_data import Plain
+
+
+class NodePlace(NamedTuple):
+    """A node. net: the name of its bus."""
+
+    net: str
+    node_id: int
+
+
+@dataclass(frozen=True)
+class ObjectPlace:
+    """An object of a node."""
+
+    net: str
+    node_id: int
+    index: int
+    subindex: int
+
+    @property
+    def node(self) -> NodePlace:
+        """Its node."""
+        return NodePlace(self.net, self.node_id)
+
+    @property
+    def parts(self) -> tuple[str, int, int, int]:
+        """Net, node-ID, index and subindex."""
+        return self.net, self.node_id, self.index, self.subindex
+
+
+class LineKind(Enum):
+    """What a line of the traffic is."""
+
+    FRAME = "frame"
+    FINDING = "finding"
+    SUMMARY = "summary"
+
+
+class TrafficLine(NamedTuple):
+    """A frame in words, or what is wrong. seconds: since the first frame. node_id: 0: of no single node."""
+
+    kind: LineKind
+    seconds: float
+    frame: str
+    service: str
+    node_id: int
+    text: str
+
+
+class ReadObject(NamedTuple):
+    """An object as it was read last. text: its value; "" if it could not be read. problem: why not."""
+
+    text: str
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class ValueShown:
+    """A watched object. least, most: of the numbers so far. age: seconds since the value came; None: never. curve: its last
+    numbers, oldest first."""
+
+    place: ObjectPlace
+    name: str
+    text: str = ""
+    problem: str = ""
+    least: float | None = None
+    most: float | None = None
+    age: float | None = None
+    curve: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class DriveShown:
+    """A drive. data: as plain_data.view_data has it; None if it does not answer, for which `problem` says why."""
+
+    place: NodePlace
+    axis: int
+    data: Plain | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class MachineShown:
+    """All that is shown. mode: what is allowed. nets, events, lease: as plain_data has them. names: of the devices, as far as
+    they were read (0x1008). frames, findings: so far. rate: frames each second. load: the busiest net's share of its bit rate,
+    0 to 1; None if no bit rate is known."""
+
+    mode: str = "read-only"
+    nets: tuple[Plain, ...] = ()
+    names: Mapping[NodePlace, str] = field(default_factory=dict)
+    events: tuple[Plain, ...] = ()
+    lease: Plain = field(default_factory=dict)
+    traffic: tuple[TrafficLine, ...] = ()
+    frames: int = 0
+    findings: int = 0
+    rate: float = 0.0
+    load: float | None = None
+    values: tuple[ValueShown, ...] = ()
+    objects: Mapping[ObjectPlace, ReadObject] = field(default_factory=dict)
+    drives: tuple[DriveShown, ...] = ()
