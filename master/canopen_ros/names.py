@@ -59,7 +59,6 @@ SET_OBJECT: Final = Name("set_object", Kind.SERVICE, "canopen_chain_node/SetObje
 SERVICE: Final = Name("{chain}/", Kind.SERVICE, TRIGGER)
 """Each of `ChainBridge.services` is a service of this kind, its name behind the slash."""
 
-OF_NODE: Final = (JOINT_STATES, DIAGNOSTICS, GET_OBJECT, SET_OBJECT)
 OF_CHAIN: Final = (STATE, COMMAND_VELOCITIES, TRAJECTORY, JOINT_COMMANDS, FOLLOW)
 
 NO_FILE: Final = "File not found. Please provide a description file as command line argument"

@@ -125,7 +125,7 @@ def _watched(module: Any, name: str, refuse: Callable[..., None]) -> _Replaced:
 
 def _refuse_wait(condition: threading.Condition, timeout: float | None = None) -> None:
     __tracebackhide__ = True
-    if (timeout is None or timeout > 0) and not _is_allowed(_AWAITED):
+    if (timeout is None or timeout > 0) and not _is_allowed():
         raise WallClockWaitError(f"a wait for an event, a queue or another thread is one in real time, {_INSTEAD}")
 
 
@@ -162,7 +162,7 @@ def _refuse_bus(made: socket.socket, family: int = -1, *args: object, **options:
 
 def _refuse_thread(function: Any, *args: object, **options: object) -> None:
     __tracebackhide__ = True
-    if _is_allowed(_AWAITED):
+    if _is_allowed():
         return
     thread = getattr(function, "__self__", None)
     name = f"the thread {thread.name!r}" if isinstance(thread, threading.Thread) else "a thread"
@@ -175,8 +175,8 @@ def _refuse_thread(function: Any, *args: object, **options: object) -> None:
     )
 
 
-def _is_allowed(starters: tuple[str, ...]) -> bool:
-    return _worlds[threading.get_ident()][-1]() or _starter().startswith(starters)
+def _is_allowed() -> bool:
+    return _worlds[threading.get_ident()][-1]() or _starter().startswith(_AWAITED)
 
 
 def _starter(more: tuple[str, ...] = ()) -> str:

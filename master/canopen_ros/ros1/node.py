@@ -41,6 +41,7 @@ from canopen_ros.ros1.roscore import RosCore
 from canopen_ros.ros1.rospy_types import Message, TopicPublisher, message_class, rospy, values
 from canopen_ros.samples import Sample
 from canopen_ros.threads import OutgoingMessages, Portal, open_portal, until_stopped
+from canopen_transports.loop.beside import beside
 
 NODE: Final = "ros_canopen"
 SIMULATED_TIME: Final = (
@@ -193,10 +194,9 @@ async def run(parameters: NodeParameters, core: RosCore) -> None:
         async with open_bridge(parameters) as bridge, open_portal() as portal:
             node = BridgeInterface(bridge, portal, outgoing)
             await trio.to_thread.run_sync(node.advertise)
-            async with trio.open_nursery() as nursery:
+            async with beside(trio.open_nursery()) as nursery:
                 nursery.start_soon(node.publish)
                 await until_stopped(lambda: rospy().is_shutdown() or bool(core.lost))
-                nursery.cancel_scope.cancel()
 
 
 def parameters_of(arguments: Sequence[str]) -> NodeParameters:
