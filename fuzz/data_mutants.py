@@ -26,6 +26,8 @@ _MODULES: Final = "canopen_data/eds/modules.py"
 _EXPECTATIONS: Final = "canopen_check/expectations.py"
 _DICTIONARY: Final = "canopen_check/dictionary_cases.py"
 
+REWRITTEN: Final = ("tests/core/test_rewritten_pdos.py",)
+
 DATA_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
@@ -176,6 +178,31 @@ DATA_MUTANTS: Final = tuple(
             "if False:",
             "an RPDO of a device is sent as an NMT command",
             COB_IDS,
+        ),
+        # ---- PDOs that we write while they are exchanged ----
+        (
+            "decoded_by_the_old_mapping",
+            "remote_node.py",
+            "            self.remove_pdo(Direction.TPDO, place.number)\n        self.unread",
+            "            pass\n        self.unread",
+            "the values of a PDO that was mapped anew are those of other objects",
+            REWRITTEN,
+        ),
+        (
+            "sent_by_the_old_mapping",
+            "remote_node.py",
+            "            rpdo.set_enabled(False, now)",
+            "            pass",
+            "a set-point lands in another object, since its RPDO was mapped anew",
+            REWRITTEN,
+        ),
+        (
+            "half_old_half_new",
+            "pdo/configure.py",
+            "            if writes == node.pdo_writes:\n                return settings",
+            "            return settings",
+            "a mapping that was read while it was written is half the old and half the new one",
+            REWRITTEN,
         ),
         # ---- conformance tester ----
         (

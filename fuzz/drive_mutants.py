@@ -31,6 +31,22 @@ DRIVE_MUTANTS: Final = tuple(
     for each in (
         # ---- the master ----
         (
+            "any_speed_allowed",
+            "drives/axis/limits.py",
+            "abs(target - start) * SECOND / time <= self.speed.value * EXACT\n            and (lowest",
+            "True\n            and (lowest",
+            "a set-point is let through that is too fast for its joint",
+            LIMITS,
+        ),
+        (
+            "any_height_allowed",
+            "drives/axis/limits.py",
+            "            and (highest is None or target <= highest.value)\n        ):\n            return False",
+            "        ):\n            return False",
+            "a set-point is let through that is above the highest position of its joint",
+            LIMITS,
+        ),
+        (
             "stop_once",
             _STATE,
             "(insist if state in POWERED and not goes_up else command)",

@@ -13,15 +13,19 @@ EARS: Final = ("tests/gateway/test_gateway_ears.py",)
 GUARD: Final = ("tests/gateway/test_gateway_guard.py",)
 SERVICE: Final = ("tests/gateway/test_gateway_service.py",)
 LEASE: Final = ("tests/gateway/test_lease.py",)
+COMMISSION: Final = ("tests/gateway/test_web_commission.py",)
 COMMANDS: Final = ("tests/gateway/test_ascii_commands.py",)
 LSS: Final = ("tests/gateway/test_ascii_lss.py",)
 DOOR: Final = ("tests/gateway/test_ascii_door.py",)
 NETS: Final = ("tests/gateway/test_several_nets.py",)
 FLEET: Final = ("tests/gateway/test_fleet.py",)
+FLEET_WEB: Final = ("tests/gateway/test_fleet_web.py",)
+PICTURE: Final = ("tests/gateway/test_fleet_picture.py",)
 LEAD: Final = ("tests/gateway/test_fleet_lead.py",)
 WEB: Final = ("tests/gateway/test_web_guard.py",)
+TRAFFIC: Final = ("tests/gateway/test_traffic.py",)
 LIVE: Final = ("tests/gateway/test_web_live.py",)
-ASSISTANT: Final = ("tests/gateway/test_assistant.py",)
+TUI: Final = ("tests/cli/test_tui.py",)
 
 _GUARD: Final = "canopen_gateway/guard.py"
 _LEASE: Final = "canopen_gateway/lease.py"
@@ -31,10 +35,84 @@ _WEB: Final = "canopen_gateway/web/guard.py"
 _LIVE: Final = "canopen_gateway/web/live.py"
 _CONNECTION: Final = "canopen_gateway/ascii/connection.py"
 _FLEET: Final = "canopen_gateway/fleet"
+_SUBJECT: Final = "canopen_gateway/web/fleet_subject.py"
+_PICTURE: Final = "canopen_gateway/web/fleet_picture.py"
 
 GATEWAY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "any_answer_of_the_tui_is_yes",
+            "canopen_cli/tui/app.py",
+            "if answer == YES:",
+            "if answer is not None:",
+            "in the terminal view, Enter at the second question writes, and so do keys that a cat presses",
+            TUI,
+        ),
+        (
+            "anybody_resets_what_moves",
+            _LEASE,
+            "if node in powered or self._has_power(node):",
+            "if False:",
+            "an NMT stop or a reset of anybody takes the commands from a drive with power, and a hanging axis falls",
+            LEASE,
+        ),
+        (
+            "anybody_resets_what_gets_power",
+            _LEASE,
+            "(arm.devices if self.doing else _led(arm))",
+            "_led(arm)",
+            "a reset meets a drive while the owner of the lease gives it power",
+            LEASE,
+        ),
+        (
+            "a_lease_that_is_over_resets",
+            _LEASE,
+            "        if self.owner is session and self.left > 0.0:\n            return []\n",
+            "        if self.owner in (session, None):\n            return []\n",
+            "without an owner, everybody may take the commands from a drive with power",
+            LEASE,
+        ),
+        (
+            "reset_by_a_write",
+            _SERVICE,
+            "elif permission is Permission.PROGRAM:",
+            "elif permission is Permission.STORE:",
+            "a write of 0x1F51 starts a device anew whose drive has power",
+            LEASE,
+        ),
+        (
+            "lease_free_while_it_brakes",
+            _LEASE,
+            "        await self._ended.wait()\n",
+            "",
+            "somebody else takes the lease while the drive that was commissioned still brakes",
+            COMMISSION,
+        ),
+        (
+            "power_away_while_it_brakes",
+            "canopen_master/motion/single_drive.py",
+            "            if axis.occupancy.stops:  # that of somebody else: it may brake yet\n",
+            "            if False:\n",
+            "a halt by hand of a drive that is commissioned takes its power away at speed",
+            COMMISSION,
+        ),
+        (
+            "trace_in_one_turn",
+            "canopen_gateway/traffic/trace.py",
+            "            first = slice_end\n            await trio.lowlevel.checkpoint()\n",
+            "            first = slice_end\n",
+            "a trace of a full ring holds up a cycle for 4 ms",
+            TRAFFIC,
+        ),
+        (
+            "trace_with_frames_of_later",
+            "canopen_gateway/traffic/trace.py",
+            "            lost = min(end, max(first, ring.first)) - first\n",
+            "            lost = 0\n",
+            "frames that came while a trace was copied stand in it as older ones, and nothing tells what is missing",
+            TRAFFIC,
+        ),
         (
             "any_host_is_ours",
             _WEB,
@@ -94,8 +172,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "page_without_lease_of_its_own",
             _LIVE,
-            "                lease.renew(session, _sequence(message))\n",
-            "                lease.renew(lease.owner or session, _sequence(message))\n",
+            '            case "renew":\n                lease.renew(session, _sequence(message))\n',
+            '            case "renew":\n                lease.renew(lease.owner or session, _sequence(message))\n',
             "another page keeps a lease alive whose owner is gone",
             LIVE,
         ),
@@ -150,7 +228,7 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "write_beside_the_lease",
             _SERVICE,
-            '                self.service.lease.require_free(self, f"writing 0x{index:04X}:{subindex:02X}")\n',
+            "                self.service.lease.require_free(self, what)\n",
             "",
             "a client writes the controlword of a drive that another one moves",
             LEASE,
@@ -158,7 +236,7 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "impatience_reaches_the_chain",
             _SERVICE,
-            "                if timeout is not None and not self._is_moved(node):\n",
+            "                if timeout is not None and not self.is_moved(node):\n",
             "                if timeout is not None:\n",
             "a client that waits a millisecond only stops the chain whose joint it asks",
             SERVICE,
@@ -190,8 +268,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "over_and_not_halted",
             _LEASE,
-            "                        nursery.start_soon(self._halted, name, chain.halt, problems)\n        if moved",
-            "                        pass\n        if moved",
+            "start_soon(self._halted, name, chain.halt, problems)\n                for node",
+            "start_soon(trio.lowlevel.checkpoint)\n                for node",
             "the lease is over, and the drives stay at their last set-point, ready for the next",
             LEASE,
         ),
@@ -399,6 +477,22 @@ GATEWAY_MUTANTS: Final = tuple(
             LEAD,
         ),
         (
+            "fleet_query_by_two_ways",
+            f"{_FLEET}/bridge.py",
+            "        if mark in self._asked:\n            return True\n",
+            "",
+            "by two routers a write, a command and an intent are carried out twice",
+            FLEET,
+        ),
+        (
+            "fleet_message_of_an_earlier_lease",
+            f"{_FLEET}/leading.py",
+            """ and said.get("term") != holder.term""",
+            " and False",
+            "a jog that was recorded, or came late, moves the machine when its client has the lease again",
+            LEAD,
+        ),
+        (
             "fleet_numbers_unlooked_at",
             f"{_FLEET}/leading.py",
             "                lease.renew(holder, sequence)\n",
@@ -461,6 +555,110 @@ GATEWAY_MUTANTS: Final = tuple(
             '        return not ipaddress.ip_address(host.strip("[]")).is_multicast\n',
             "a bridge without passwords listens to other computers",
             FLEET,
+        ),
+        (
+            "fleet_page_asks_no_guard",
+            _SUBJECT,
+            "        self.guard.require_write(*place)\n        self._require_one_bridge(net)\n",
+            "        self._require_one_bridge(net)\n",
+            "a page without --allow writes wherever a bridge allows it",
+            PICTURE,
+        ),
+        (
+            "fleet_page_trusts_a_name",
+            _SUBJECT,
+            "        self.guard.require_write(*place)\n        return place\n",
+            "        return place\n",
+            "a bridge calls the controlword by a harmless name, and a page that may write settings moves a drive",
+            PICTURE,
+        ),
+        (
+            "fleet_page_moves",
+            _SUBJECT,
+            "NEVER_ALLOWED: Final = frozenset({Permission.MOTION, Permission.LSS})",
+            "NEVER_ALLOWED: Final = frozenset({Permission.LSS})",
+            "a page writes controlwords over a wide network, without a lease",
+            FLEET_WEB,
+        ),
+        (
+            "fleet_page_silent_halt",
+            _SUBJECT,
+            '        problems += [f"{each} did not answer" for each in there if each not in answered]\n',
+            "",
+            "a halt counts as done though a site has not answered",
+            FLEET_WEB,
+        ),
+        (
+            "fleet_page_lost_halt",
+            _SUBJECT,
+            "for each in lost if net in (None, each)]",
+            "for each in ()]",
+            "a halt counts as done though a site is lost",
+            FLEET_WEB,
+        ),
+        (
+            "fleet_halt_of_nonsense",
+            f"{_FLEET}/fleet.py",
+            '        return ["its bridge does not say whether all stands"]\n',
+            "        return []\n",
+            "an answer that is nonsense confirms that all stands",
+            PICTURE,
+        ),
+        (
+            "fleet_halt_of_two",
+            f"{_FLEET}/fleet.py",
+            "            found.setdefault(answer.place, []).extend(_problems(answer.data))\n",
+            "            found[answer.place] = _problems(answer.data)\n",
+            "a second answer for a place hides that something still moves",
+            PICTURE,
+        ),
+        (
+            "fleet_page_stamp_unlooked_at",
+            _PICTURE,
+            " or not 0 <= stamp < 1 << 64:",
+            ":",
+            "a bridge ends the values of a page by a time of four thousand digits",
+            PICTURE,
+        ),
+        (
+            "fleet_page_number_of_another",
+            _PICTURE,
+            "        return next((str(each.place) for each in self._buses.values() if each.number == number), None)\n",
+            "        return self.names[number - 1] if 0 < number <= len(self.names) else None\n",
+            "a site comes, and a page then writes to another bus than the one that it shows",
+            PICTURE,
+        ),
+        (
+            "fleet_page_late_is_there",
+            _PICTURE,
+            "LATE if silent > LATE_STATUS else THERE",
+            "THERE",
+            "a bridge that says nothing any more looks live",
+            PICTURE,
+        ),
+        (
+            "fleet_page_lost_looks_alive",
+            _PICTURE,
+            "        is_lost = not (bus.is_there and node.is_there)\n",
+            "        is_lost = not node.is_there\n",
+            "the nodes of a site that is lost look as they were",
+            PICTURE,
+        ),
+        (
+            "fleet_page_text_uncleaned",
+            _PICTURE,
+            'node.name = clean(name, MOST_NAME) if isinstance(name, str) else ""',
+            'node.name = name if isinstance(name, str) else ""',
+            "a bridge sends a name of a million characters to each page",
+            PICTURE,
+        ),
+        (
+            "fleet_page_hears_all_pdos",
+            f"{_FLEET}/fleet.py",
+            "                    yield key_of(pattern.bus_place if news is FleetStatus else pattern, *rest)\n",
+            "                    yield key_of(pattern.bus_place if news is FleetStatus else EVERYWHERE, *rest)\n",
+            "one watched value brings the PDOs of all sites over the network",
+            FLEET_WEB,
         ),
     )
 )

@@ -19,6 +19,7 @@ WATCHDOG: Final = ("tests/master/test_watchdog.py",)
 AT_ONCE: Final = ("tests/master/test_stops_at_once.py",)
 PATH_MOTION: Final = ("tests/master/test_path_motion.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
+PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 
 BACKGROUND: Final = ("tests/master/test_blocking_background.py",)
 BLOCKING: Final = ("tests/master/test_blocking.py",)
@@ -30,6 +31,14 @@ _LATE_SYNC: Final = "canopen_master/motion/late_sync.py"
 MASTER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "patience_for_ever",
+            "canopen_master/motion/path_motion.py",
+            "            if not scope.cancelled_caught or self._went_on > since:",
+            "            if True:",
+            "a motion without a SYNC waits for ever, and its chain is not halted",
+            PATH_TROUBLES,
+        ),
         (
             "whole_step_in_less_than_a_period",
             "canopen_master/motion/cycles.py",

@@ -367,7 +367,7 @@ SDO_MUTANTS: Final = (
     Mutant(
         "copy_guard",
         _QUEUE,
-        "if self.unsettled or (first[1:4] == self._first[1:4] and first[0] >> 5 == self._first[0] >> 5):",
+        "if self.unsettled or (first[1:4] == before[1:4] and first[0] >> 5 == before[0] >> 5):",
         "if self.unsettled:",
         "the second copy of an answer is taken for that of the next request",
         PLAIN[:1],
@@ -375,8 +375,8 @@ SDO_MUTANTS: Final = (
     Mutant(
         "late_guard",
         _CLIENT,
-        "expect_late(transfer.first[1:4], now + self.late_guard)",
-        "expect_late(transfer.first[1:4], now)",
+        "expect_late(transfer.name, now, now + self.late_guard)",
+        "expect_late(transfer.name, now, now)",
         "a late answer is taken for that of the next request",
         LATE,
     ),
@@ -446,13 +446,17 @@ def source_of(file: str) -> Path:
     return Path(spec.origin).parent / rest
 
 
+def planted(mutant: Mutant, source: str) -> str:
+    """Return a source with a bug. Raises ValueError where its place is not there exactly once."""
+    if source.count(mutant.old) != 1:
+        raise ValueError(f"{mutant.name}: its place is {source.count(mutant.old)} times in {mutant.file}")
+    return source.replace(mutant.old, mutant.new)
+
+
 def plant(mutant: Mutant, tree: Path) -> None:
     """Put a bug into a copy. Raises ValueError where its place is not there exactly once."""
     path = place_of(mutant.file, tree)
-    source = path.read_text(encoding="utf-8")
-    if source.count(mutant.old) != 1:
-        raise ValueError(f"{mutant.name}: its place is {source.count(mutant.old)} times in {mutant.file}")
-    path.write_text(source.replace(mutant.old, mutant.new), encoding="utf-8")
+    path.write_text(planted(mutant, path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def copy_of_the_project(tree: Path) -> None:

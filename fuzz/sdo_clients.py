@@ -14,15 +14,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from random import Random
 from typing import Final
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
+from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import Block, SdoAborted, SdoChunk, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.codec import INITIATE, LEAST_REQUEST, complete
+from canopen_proto.sdo.segmented_client import question_about
 from canopen_proto.sdo.server import SdoServer
 from tests.core.bus import Wire
 
@@ -192,36 +195,46 @@ DELAYS: Final = (0, 60 * MICROSECOND, MILLISECOND, 8 * MILLISECOND)
 GAPS: Final = (50 * MICROSECOND, 400 * MICROSECOND, 5 * MILLISECOND, 150 * MILLISECOND)
 
 
+SPANS: Final = (3 * MILLISECOND, 800 * MILLISECOND)
+CLOSE_SPANS: Final = (3, 100 * MICROSECOND, 3 * MILLISECOND, 40 * MILLISECOND)
+
+
 def case_of(source: Random, kind: str) -> Case:
-    """Draw a case."""
+    """Draw a case: half of them of anything; half of them close: one or two objects of one frame, within so little time that all
+    requests stand in queues together, mostly writes, many of them urgent."""
+    is_close = source.randint(0, 1) == 1
+    objects = list(SIZES)
+    if is_close:
+        objects = objects[: source.randint(1, 2)]
+    spans = CLOSE_SPANS if is_close else SPANS
     slowest = source.choice(DELAYS)
     count = source.randint(1, 3)
-    asked = [_asked(source, count) for _ in range(source.randint(1, 5))]
-    script = [frame for _ in range(source.randint(0, 3)) for frame in _exchange(source)]
+    asked = [_asked(source, count, objects, spans, is_close) for _ in range(source.randint(1, 6))]
+    script = [frame for _ in range(source.randint(0, 4)) for frame in _exchange(source, objects, spans)]
     return Case(source.getrandbits(32), slowest, kind, asked, script)
 
 
-def _time(source: Random) -> Time:
-    return source.randint(0, source.choice((3 * MILLISECOND, 800 * MILLISECOND)))
+def _time(source: Random, spans: Sequence[Time]) -> Time:
+    return source.randint(0, source.choice(spans))
 
 
-def _asked(source: Random, clients: int) -> Asked:
-    is_write = source.random() < 0.5
+def _asked(source: Random, clients: int, objects: list[int], spans: Sequence[Time], is_close: bool) -> Asked:
+    is_write = source.random() < (0.75 if is_close else 0.5)
     stream = not is_write and source.randint(0, 5) == 0
     return Asked(
         client=source.randint(0, clients - 1),
-        at=_time(source),
-        index=source.choice(list(SIZES)),
+        at=_time(source, spans),
+        index=source.choice(objects),
         is_write=is_write,
         block=source.choice(BLOCKS),
-        urgent=source.randint(0, 3) == 0,
+        urgent=source.randint(0, 1 if is_close else 3) == 0,
         stream=stream,
     )
 
 
-def _exchange(source: Random) -> list[tuple[Time, bytes]]:
+def _exchange(source: Random, objects: list[int], spans: Sequence[Time]) -> list[tuple[Time, bytes]]:
     """Frames of a stranger: an exchange without regard to the answers, or its beginning, or anything at all."""
-    at, index, gap = _time(source), source.choice(list(SIZES)), source.choice(GAPS)
+    at, index, gap = _time(source, spans), source.choice(objects), source.choice(GAPS)
     name = bytes((index & 0xFF, index >> 8, 0))
     size = SIZES[index].to_bytes(4, "little")
     fill = source.randbytes(7)
@@ -229,6 +242,7 @@ def _exchange(source: Random) -> list[tuple[Time, bytes]]:
         [b"\x40" + name + bytes(4), b"\x60" + bytes(7), b"\x70" + bytes(7)],
         [b"\x21" + name + size, b"\x00" + fill, b"\x1d" + fill],
         [b"\x23" + name + fill[:4]],
+        [question_about(DEVICE_TYPE)],  # our own question before a write: its answer may be taken for ours
         [b"\xa4" + name + b"\x02\0\0\0", b"\xa3" + bytes(7), b"\xa2\x02\x02" + bytes(5), b"\xa1" + bytes(7)],
         [b"\xc6" + name + size, b"\x01" + fill, b"\x82" + fill, b"\xc1" + fill],
         [b"\x80" + name + b"\0\0\x04\x05"],

@@ -6,6 +6,7 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
+QUIET: Final = ("tests/core/test_receive_many.py",)
 PDO_LIFE: Final = ("tests/core/test_pdo_midlife.py",)
 PDO: Final = ("tests/core/test_pdo_machines.py",)
 HELD: Final = ("tests/core/test_held_rpdos.py",)
@@ -32,6 +33,23 @@ RESTORE: Final = ("tests/manager/test_restore.py",)
 SERVICE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        # ---- a quiet network ----
+        (
+            "deaf_procedure",
+            "network.py",
+            "self._tasks and (self.out.events or self.runner.waits_for_the_usual)",
+            "self._tasks and self.out.events",
+            "a procedure waits for a PDO that a quiet network does not tell it of",
+            QUIET,
+        ),
+        (
+            "deaf_behind_an_event",
+            "network.py",
+            "self._tasks and (self.out.events or self.runner.waits_for_the_usual)",
+            "self._tasks and self.runner.waits_for_the_usual",
+            "a procedure misses the PDO that came before it was told of what it had waited for",
+            QUIET,
+        ),
         # ---- SDO: frames that come twice ----
         (
             "no_question",
@@ -52,8 +70,8 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "same_question_again",
             _QUEUE,
-            "named = {transfer.first[1:4], self._answered[1:4], *self.left, *self.overdue}",
-            "named = {transfer.first[1:4]}",
+            "if name != own and name != answered and name not in self.left and name not in self.overdue:",
+            "if name != own:",
             "the second copy of the answer to one question answers the next question",
             COPIES,
         ),
@@ -84,8 +102,8 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "halt_behind_a_question",
             _QUEUE,
-            "before[1:4] or transfer.is_urgent or now",
-            "before[1:4] or now",
+            "self.answered or transfer.is_urgent or now",
+            "self.answered or now",
             "a halt waits for the answer to a question",
             COPIES,
         ),
@@ -109,7 +127,7 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "same_object_believed",
             _CONTENTION,
-            "transfer.first[1:4] not in self._names and ",
+            "transfer.name not in self._names and ",
             "",
             "a write is confirmed by the answer to another client's write of the same object",
             CONTENTION,
@@ -197,16 +215,48 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "own_late_answer_confirms",
             _SDO_CLIENT,
-            "return is_near and (now < self._queue.overdue.get(name, -NEVER) or name in self.other.unfinished)",
+            "return is_near and (now < self._queue.may_be_answered_until(name) or name in self.other.unfinished)",
             "return False",
             "an urgent write is confirmed by the late answer to the write before",
             CONTENTION,
         ),
         (
+            "believed_beside_its_own",
+            _SDO_CLIENT,
+            "Contested(transfer, not awaits_other and self.other.leaves_sure(transfer))",
+            "Contested(transfer, self.other.leaves_sure(transfer))",
+            "an urgent write is confirmed by the answer to one that was given up, while a stranger reads something else",
+            CONTENTION,
+        ),
+        (
+            "counted_confirmations",
+            _SDO_CLIENT,
+            "            if transfer.is_download:  # it may wait in our queue yet",
+            "            if False:  # it may wait in our queue yet",
+            "what confirms a stranger's write counts as the late answer to ours, whose own one confirms the next write",
+            CONTENTION,
+        ),
+        (
+            "any_answer_in_doubt_is_ours",
+            _SDO_CLIENT,
+            "transfer.is_answered = transfer.believes and is_alike",
+            "transfer.is_answered = transfer.believes",
+            "a late answer to a read counts as that to a write, and what else was given up is forgotten",
+            CONTENTION,
+        ),
+        (
+            "one_late_answer_for_all",
+            _QUEUE,
+            "[*(each for each in before if each > now), until]",
+            "[until]",
+            "of two urgent writes that timed out the second one's late confirmation confirms the next write",
+            CONTENTION,
+        ),
+        (
             "doubts_for_ever",
             _SDO_CLIENT,
-            "return is_near and (now < self._queue.overdue.get(name, -NEVER) or name in self.other.unfinished)",
-            "return name in self._queue.overdue or (is_near and name in self.other.unfinished)",
+            "return is_near and (now < self._queue.may_be_answered_until(name) or name in self.other.unfinished)",
+            "return self._queue.may_be_answered_until(name) > -NEVER or (is_near and name in self.other.unfinished)",
             "after one lost answer no later write of the object is ever confirmed",
             CONTENTION,
         ),
@@ -286,8 +336,8 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "held_over_a_change",
             _CONSUMER,
-            "            self._reroute()\n        self._forget()\n\n    def set_enabled",
-            "            self._reroute()\n\n    def set_enabled",
+            "            self._reroute()\n        self._forget()\n",
+            "            self._reroute()\n",
             "data that waited for a SYNC act after the PDO was set up otherwise",
             PDO,
         ),
