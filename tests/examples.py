@@ -18,15 +18,17 @@ SAME = "same"
 """The profile of tests/conftest.py for every day: the same examples each time, and few of them."""
 FULL = "full"
 """The same with all examples that the tests name; by hand."""
-PART = 5
+PART = 10
 """Every day the number of examples is divided by this, down to `least` of them."""
+LEAST = 5
+"""So few are not divided."""
 
 GOLDEN = (5**0.5 - 1) / 2
 """Steps of this size around a circle meet each of its parts equally often. At each n-th case of a test with several parameters,
 some values would never come together."""
 
 
-def examples(count: int, *, steps: int = 50, least: int = PART, part: int = PART, explain: bool = True) -> settings:
+def examples(count: int, *, steps: int = 50, least: int = LEAST, part: int = PART, explain: bool = True) -> settings:
     """Settings for so many examples (of so many steps, where each is a run of a state machine); see SAME and FULL.
 
     least: every day too, where fewer would miss a planted bug (fuzz/). part: in place of PART, where one example takes a second.

@@ -5,10 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+import trio
+from trio.testing import MockClock
 
 from canopen_master import read_record
 from tests.docs_build import DOCS, load_build
@@ -24,7 +27,7 @@ def build() -> ModuleType:
     return load_build()
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(12)
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "begin"])
 def test_each_block_runs_within_the_limits(build: ModuleType, name: str, tmp_path: Path) -> None:
     pytest.importorskip("ruckig")
@@ -41,6 +44,17 @@ def test_each_block_runs_within_the_limits(build: ModuleType, name: str, tmp_pat
         for limit in LIMITS:
             rates = [(after - before) / 0.01 for before, after in itertools.pairwise(rates)]
             assert max(map(abs, rates)) <= 1.001 * limit
+
+
+def test_the_whole_program(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("ruckig")
+    (program,) = re.findall(r"```python\n((?:(?!```).)*__main__.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.setattr(trio, "run", partial(trio.run, clock=MockClock(autojump_threshold=0)))
+    exec(compile(program, PAGE.name, "exec"), {"__name__": "__main__"})
+    told = capsys.readouterr().out
+    assert told.startswith("at [20, 20, 20, 20, 20, 20]\nCO402: chain arm was stopped: joint3 (node 5 on can0) fell into fault\n")
+    assert "cause: it is in fault: 0x2310" in told
+    assert told.endswith("back at [0, 0, 0, 0, 0, 0]\n")
 
 
 @pytest.mark.thorough

@@ -37,7 +37,7 @@ NO_END = {"CO112", "CO113"}
 """Codes of reports after which receiving goes on: no command ends by them."""
 OF_THE_NODE = {"CO324", "CO325"}
 """Codes of the ROS node only."""
-OF_A_CLIENT = {"CO162"}
+OF_A_CLIENT = {"CO162", "CO165"}
 """Codes that only a client of a gateway is told."""
 
 

@@ -1,4 +1,4 @@
-"""Which cases of a test run every day: see examples.py."""
+"""Which cases of a test run every day, and in which order workers take the files: see examples.py and workers.py."""
 
 from __future__ import annotations
 
@@ -40,3 +40,23 @@ def test_each_value_of_a_parameter_comes_with_each_of_another(part: int) -> None
         names = chosen([Item(f"some[{number}-{value}]", pytest.mark.thorough(part)) for number, value in cases])
         taken = [int(name.partition("-")[2][:-1]) for name in names]
         assert min(map(taken.count, range(count))) >= 5
+
+
+def test_workers_take_each_test_once_and_between_files_that_wait_two_that_compute() -> None:
+    pytest.importorskip("xdist", reason="pytest-xdist is not installed: the extra `test` has it")
+    from tests.workers import FEW_BUT_LONG, WAITING, longest_first
+
+    class Named:
+        def __init__(self, nodeid: str) -> None:
+            self.nodeid = nodeid
+
+    files = [f"core/test_{size}.py" for size in range(9)]
+    files += [FEW_BUT_LONG[0], WAITING[1], WAITING[0]]
+    items: list[Any] = [Named(f"tests/{file}::test[{number}]") for file in files for number in range(1 + files.index(file) % 9)]
+    ordered = longest_first(items)
+    assert {*ordered} == {*items}
+    assert len(ordered) == len(items)
+    taken = list(dict.fromkeys(item.nodeid.partition("::")[0].removeprefix("tests/") for item in ordered))
+    assert taken[:6] == [WAITING[0], FEW_BUT_LONG[0], "core/test_8.py", WAITING[1], "core/test_7.py", "core/test_6.py"]
+    assert taken[-1] == "core/test_0.py"
+    assert [item.nodeid for item in ordered if "test_3" in item.nodeid] == [f"tests/core/test_3.py::test[{n}]" for n in range(4)]

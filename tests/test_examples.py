@@ -27,7 +27,7 @@ def test_the_number_is_that_of_the_test_or_of_the_profile() -> None:
     settings.load_profile(FULL)
     assert (examples(7).max_examples, examples(7).derandomize) == (7, True)
     settings.load_profile(SAME)
-    assert [examples(count).max_examples for count in (3, 7, 200)] == [3, 5, 40]
+    assert [examples(count).max_examples for count in (3, 7, 200)] == [3, 5, 20]
     assert examples(200, least=60).max_examples == 60
     assert examples(7).derandomize
     settings.load_profile("search")

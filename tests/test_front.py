@@ -42,7 +42,13 @@ def seen_by_type_checkers(package: ModuleType) -> dict[str, str]:
     for statement in ast.parse(inspect.getsource(package)).body:
         if isinstance(statement, ast.If) and ast.unparse(statement.test) == "TYPE_CHECKING":
             imports = [each for each in statement.body if isinstance(each, ast.ImportFrom)]
-            return {name.asname or name.name: each.module or "" for each in imports for name in each.names}
+            homes: dict[str, str] = {}
+            for each in imports:
+                if each.names[0].name == "*":  # all of the front of a room below
+                    homes |= seen_by_type_checkers(importlib.import_module(str(each.module)))
+                else:
+                    homes |= {name.asname or name.name: str(each.module) for name in each.names}
+            return homes
     raise AssertionError(f"{package.__name__} imports nothing under TYPE_CHECKING")
 
 

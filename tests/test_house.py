@@ -86,11 +86,15 @@ def imported(tree: ast.AST, known: Iterable[str]) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def graph() -> Graph:
-    paths = modules()
-    assert len(paths) > 250
-    sources = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in paths.items()}
-    return {name: set(imported(tree, paths)) - {name} for name, tree in sources.items()}
+def trees() -> dict[str, ast.Module]:
+    """Each module's source, parsed once: it takes longer than all that is asked of it."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in modules().items()}
+
+
+@pytest.fixture(scope="module")
+def graph(trees: dict[str, ast.Module]) -> Graph:
+    assert len(trees) > 250
+    return {name: set(imported(tree, trees)) - {name} for name, tree in trees.items()}
 
 
 def rooms(graph: Graph, folder: str) -> Graph:
@@ -204,11 +208,11 @@ def test_each_step_of_the_ways_on_the_page_is_in_the_file_that_it_names() -> Non
 
 
 @pytest.fixture(scope="module")
-def classes() -> dict[str, list[list[str]]]:
+def classes(trees: dict[str, ast.Module]) -> dict[str, list[list[str]]]:
     """The names of each class's bases, by the class's name, for each place that defines it; inside of functions too."""
     found: dict[str, list[list[str]]] = defaultdict(list)
-    for path in modules().values():
-        for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
+    for tree in trees.values():
+        for node in statements(tree):
             if isinstance(node, ast.ClassDef):
                 found[node.name].append([ast.unparse(base).rpartition(".")[2] for base in node.bases])
     assert len(found) > 1000

@@ -61,8 +61,18 @@ def test_the_screens_are_what_the_commands_print(
         assert [line for line in printed.splitlines() if "".join(line.split()) not in shown] == []
 
 
+@pytest.mark.parametrize(
+    ("name", "text"), [("nodes", "Powerball"), ("objects", "20000"), ("drives", "try: remove the cause"), ("traffic", "0x3220")]
+)
+def test_the_views_of_the_tui_are_there(build: ModuleType, name: str, text: str) -> None:
+    assert set(build.TUI_VIEWS) == {path.stem for path in (DOCS / "tui").glob("*.svg")}
+    path = DOCS / "tui" / f"{name}.svg"
+    assert text in words_of(path)
+    assert "font-face" not in path.read_text(encoding="utf-8"), "a picture loads nothing from elsewhere"
+
+
 def test_each_option_on_the_page_exists() -> None:
-    for name in ("watch", "top"):
+    for name in ("watch", "top", "tui"):
         section = PAGE.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
         command = app.cli.get_command(click.Context(app.cli), name)
         assert command is not None

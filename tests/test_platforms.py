@@ -15,7 +15,8 @@ import asyncio, ctypes, functools, importlib, json, os, pkgutil, selectors, sign
 import hypothesis, hypothesis.stateful, hypothesis.strategies
 import can, click, matplotlib, msgpack, rich, trio, trio.testing  # as these are on each system: they look after themselves
 import can.interfaces.udp_multicast, rich.prompt
-import hypercorn.trio, mcp.server, prometheus_client, prompt_toolkit, starlette.applications, zenoh
+import duckdb, hypercorn.trio, mcp.server, paho.mqtt.client, prometheus_client, prompt_toolkit, starlette.applications, zenoh
+import textual.app, textual.pilot, textual.widgets
 
 pair = functools.partial(socket.socketpair, socket.AF_UNIX)  # Windows has this function, made otherwise
 socket.socketpair = lambda: pair()

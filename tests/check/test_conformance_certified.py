@@ -45,7 +45,7 @@ REMARKED: Sequence[tuple[Fault, str, str]] = [
 ]
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(("device", "truth", "numbers"), PASSED, ids=lambda value: value.what if isinstance(value, Fault) else "")
 def test_what_the_standard_allows_passes(device: Fault, truth: ObjectDictionary | None, numbers: Sequence[str]) -> None:
     verdicts = {number: verdict_of(number, device, truth) for number in numbers}

@@ -55,7 +55,7 @@ FAULTS = [
 CASES = [case for case in (*sync_cases.CASES, *heartbeat_cases.CASES) if case.body is not None]
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(("number", "fault", "said"), FAULTS, ids=[f"{number}-{fault.what}" for number, fault, _ in FAULTS])
 def test_fault(number: str, fault: Fault, said: str) -> None:
     check_caught(number, fault, said=said)

@@ -74,6 +74,7 @@ FAULTS = [
 CASES = (*dictionary_cases.CASES, *emergency_cases.CASES)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("number", "fault", "said"), FAULTS, ids=[f"{number}-{fault.what}" for number, fault, _ in FAULTS])
 def test_fault(number: str, fault: Fault, said: str) -> None:
     check_caught(number, fault, said=said)
@@ -128,7 +129,7 @@ def test_cob_id_of_emergency() -> None:
 
 def test_an_error_history_that_survives_a_reset() -> None:
     kept = Fault("kept", sent=[("585#4F031000.*", "585#4F03100001000000"), ("585#80031001.*", "585#4303100110820000")])
-    assert verdict_of("5.3", kept).reason == "1 errors"
+    assert verdict_of("5.3", kept).reason == "1 error"
     vague = Fault("vague", sent=[("(585#80031001).{8}", refused(AbortCode.GENERAL_ERROR))])
     assert verdict_of("5.3", vague).result is Result.PASSED
 

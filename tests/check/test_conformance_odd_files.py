@@ -159,7 +159,7 @@ CHANGES: tuple[tuple[str, tuple[Any, ...]], ...] = (
 )
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("seed", range(6))
 def test_nonsense_makes_a_verdict(seed: int) -> None:
     """Nothing but a ProcedureError may come out of a case, and that is caught: `run` would raise anything else here."""

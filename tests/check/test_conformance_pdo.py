@@ -111,7 +111,7 @@ FAULTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize(("number", "fault", "said"), FAULTS, ids=[f"{number}-{fault.what}" for number, fault, _ in FAULTS])
 def test_fault(number: str, fault: Fault, said: str) -> None:
     check_caught(number, fault, said=said)

@@ -39,6 +39,7 @@ FAULTS = [
 NUMBERS = [case.number for case in storing_cases.CASES]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("number", "fault", "said"), FAULTS, ids=[f"{number}-{fault.what}" for number, fault, _ in FAULTS])
 def test_fault(number: str, fault: Fault, said: str) -> None:
     check_caught(number, fault, said=said)

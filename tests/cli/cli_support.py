@@ -81,6 +81,7 @@ class Alarm:
 def runner(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, own_files: Path) -> Run:
     """The function that runs a command. own_files: an empty folder, so that what a user has in ~/.canopen does not count."""
     monkeypatch.setenv("CANOPEN_DATA", str(own_files))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(own_files / "config"))
     for name in ("CANOPEN_BUS", "CANOPEN_MACHINE", "FORCE_COLOR", "COLUMNS", "TTY_COMPATIBLE"):
         monkeypatch.delenv(name, raising=False)
 

@@ -9,10 +9,17 @@ again, and look at what git shows:
 from __future__ import annotations
 
 import json
+import os
+import re
+import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import pytest
+
 import canopen_cli
+from tests.cli.cli_support import Outcome
 
 SCHEMAS: Final = Path(canopen_cli.__file__).with_name("schemas.json")
 VERSION: Final = 1
@@ -42,12 +49,13 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "lss identify": ("--vendor", "1", *DEMO),
     "lss inquire": ("5", *DEMO),
     "lss set-id": ("5", "12", "--yes", *DEMO),
-    "lss store": ("5", *DEMO),
+    "lss store": ("5", "--yes", *DEMO),
     "lss assign": ("--ids", "10", "--yes", *DEMO),
-    "lss set-bitrate": ("250k", "--from", "500k", "--interface-command", "true", "--yes", *DEMO),
+    "lss set-bitrate": ("250k", "--present", "500k", "--window", "10ms", "--delay", "10ms", "--yes", *DEMO),
     "listen": ("--for", "0.5s", *DEMO),
     "monitor": ("--for", "1.5s", *DEMO),
     "top": ("--once", *DEMO),
+    "tui": DEMO,
     "watch": ("3", "statusword", "--for", "0.5s", *DEMO),
     "net init": ("-o", "new.toml", *DEMO),
     "net check": ("net.toml", *DEMO),
@@ -84,12 +92,16 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "bus serve": ("--port", "0", "--for", "0"),
     "serve ascii": ("--port", "0", "--for", "0.1s", *DEMO),
     "serve mcp": ("--http", "0", "--for", "0.1s", *DEMO),
+    "serve mqtt": ("--site", "hall", "--broker", "mqtt://127.0.0.1:9", "--for", "0.1s", *DEMO),
     "serve web": ("--port", "0", "--for", "0.1s", *DEMO),
     "serve zenoh": ("--site", "hall", "--listen", "tcp/127.0.0.1:0", "--for", "0.1s", *DEMO),
     "fleet ls": NOBODY,
     "fleet read": ("hall/arm/3", "statusword", *NOBODY),
     "fleet watch": ("--for", "0.1s", *NOBODY),
     "fleet halt": NOBODY,
+    "fleet web": ("--port", "0", "--for", "0.1s", *NOBODY),
+    "fleet record": ("history", "--for", "0.1s", *NOBODY),
+    "fleet query": ("no_history",),
     "fleet router": ("--listen", "tcp/127.0.0.1:0", "--for", "0.1s"),
     "log check": ("bus.log",),
     "log convert": ("bus.log", "new.asc"),
@@ -112,11 +124,12 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "eds stubs": ("sample_io.eds", "-o", "stubs.py"),
     "eds to-dcf": ("sample_io.eds", "--id", "5", "-o", "new.dcf"),
     "eds to-cdcf": ("device.dcf", "-o", "new.bin"),
+    "eds to-dbc": ("sample_drive.eds", "--id", "5", "-o", "new.dbc"),
     "machine check": ("cell.toml",),
     "machine from-chains": ("two.csv", "-o", "new.toml"),
     "machine import": ("bus.yaml", "-o", "new.toml"),
     "ros init": ("new_package", "-m", "arm.toml"),
-    "data init": ("--to", "new_data"),
+    "data init": ("-o", "new_data"),
     "run": ("script.py", *DEMO),
     "shell": ("200", *DEMO),
     "completion": ("bash",),
@@ -124,16 +137,96 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
 """By the words of a command: arguments with which it does something, or says why it cannot."""
 
 
-def schema_of(value: Any) -> dict[str, Any]:
-    """Return a schema that a value fits."""
+SILENT: Final = ("-b", "virtual:nobody")
+FURTHER: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
+    "doctor": (DEMO,),
+    "scan": (SILENT,),
+    "node list": (("net.toml", *DEMO),),
+    "info": (("3", "-e", "sample_drive.eds", *DEMO), ("9", *DEMO)),
+    "read": (("3", "statusword", "6064", "1008", *DEMO), ("3", "5FFF", "--type", "u16", *DEMO)),
+    "write": (("3", "6081", "20000", "--verify", *DEMO)),
+    "nmt": (("stop", "3", "--wait", *DEMO),),
+    "pdo show": (("3", "--all", *DEMO),),
+    "pdo check": (DEMO,),
+    "emcy watch": (("5", "--log", "bus.log"),),
+    "emcy history": (("9", *DEMO),),
+    "lss set-bitrate": (("250k", "--present", "500k", "--window", "10ms", "--dry-run", *DEMO),),
+    "lss store": (("only", "--yes", "--window", "20ms", *SILENT),),
+    "listen": (("--for", "0.2s", *SILENT),),
+    "monitor": (("--log", "bus.log"), ("--log", "bus.log", "--object", "statusword")),
+    "top": (("--log", "bus.log"), ("--log", "bus.log", "--bitrate", "1M")),
+    "watch": (("5", "statusword", "--log", "bus.log"), ("3", "statusword", "6064", "1008", "--for", "0.5s", *DEMO)),
+    "net init": (("-o", "newer.toml", *SILENT),),
+    "net check": (("cell.toml", *SILENT),),
+    "net boot": (("net.toml", "--yes", *SILENT), ("lamp.toml", "--yes", *DEMO)),
+    "drive state": (("joint1", "-m", "arm.toml", *DEMO), ("9", *DEMO)),
+    "drive units": (("3", "-m", "arm.toml", *DEMO),),
+    "drive mode": (("3", "ip", *DEMO),),
+    "drive move": (("joint1", "5", "-m", "arm.toml", *DEMO),),
+    "plot": (("run.csv", "-o", "run.png"),),
+    "demo": (("--for", "0.5", "--fault", "4@0.2", "--chains", "two.csv"),),
+    "compare": (("3", "device.dcf", *DEMO), ("device.eds", "device.eds")),
+    "log check": (("other.log", "--bitrate", "1M"), ("empty.log",)),
+    "log stats": (("bus.log", "--bitrate", "1M"), ("empty.log",)),
+    "log diff": (("bus.log", "bus.log"),),
+    "eds lint": (("faulty.eds",),),
+    "eds show": (("sample_io.eds",), ("device.dcf", "1000")),
+    "machine check": (("net.toml",), ("arm.toml",)),
+    "plan": (("arm.toml", "--bitrate", "125k", "--cycle", "1ms"),),
+}
+"""Further examples of a command, where one does not show all that it answers: nobody there, a refusal, everything at once."""
+
+OF_DATA: Final = frozenset({"writes", "can_ids", "buses", "nodes", "chains", "joints", "limits", "origins"})
+"""Fields that hold an object whose names are data, if they hold one."""
+
+
+OR_NULL: Final[dict[str, list[str]]] = {
+    **{key: ["integer", "null"] for key in ("bit_rate", "bitrate", "node", "abort", "sync_counter", "sync_at")},
+    **{
+        key: ["null", "number"]
+        for key in ("counts_per_metre", "counts_per_motor_turn", "rated_torque", "load", "mean_load", "peak")
+    },
+    **{key: ["null", "number"] for key in ("physical", "period", "largest_following_error", "negative", "positive")},
+    **{key: ["null", "string"] for key in ("hex", "other_client", "nmt_state", "state", "output", "bus_state", "remark", "file")},
+    **{key: ["integer", "null", "number", "string"] for key in ("value", "configured", "high", "low")},
+}
+"""What a field holds that is null in every example: no bus here brings it."""
+
+
+def schema_of(value: Any, name: str = "") -> dict[str, Any]:
+    """Return a schema that a value fits. name: of its field."""
     if isinstance(value, dict):
-        if not all(isinstance(key, str) and key.replace("_", "").isalnum() and key == key.lower() for key in value):
+        is_data = not all(isinstance(key, str) and key.replace("_", "").isalnum() and key == key.lower() for key in value)
+        if is_data or name in OF_DATA:
             return {"type": "object", "additionalProperties": merged([schema_of(each) for each in value.values()])}
-        return {"type": "object", "properties": {key: schema_of(value[key]) for key in sorted(value)}, "required": sorted(value)}
+        properties = {key: schema_of(value[key], key) for key in sorted(value)}
+        return {"type": "object", "properties": properties, "required": sorted(value)}
     if isinstance(value, list):
         return {"type": "array", "items": merged([schema_of(each) for each in value])}
     kinds = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
-    return {"type": kinds[type(value)]}
+    return {"type": OR_NULL[name] if value is None and name in OR_NULL else kinds[type(value)]}
+
+
+def described(schema: Any, texts: dict[str, str]) -> Any:
+    """Return a schema in which each field has its description, by its name."""
+    if isinstance(schema, list):
+        return [described(each, texts) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    made = {key: described(part, texts) for key, part in schema.items() if key not in ("properties", "description")}
+    if isinstance(schema.get("properties"), dict):
+        fields = {key: described(each, texts) for key, each in schema["properties"].items()}
+        made["properties"] = {key: {"description": _text_for(each, texts.get(key, ""))} | each for key, each in fields.items()}
+    return made
+
+
+def _text_for(schema: dict[str, Any], text: str) -> str:
+    """What null means is left out where it cannot be."""
+    return (
+        text
+        if not schema.get("type") or "null" in _types(schema)
+        else re.sub(r"(; (0 or )?null\b.*|, or null\b.*| or null\b)", "", text)
+    )
 
 
 def merged(schemas: list[dict[str, Any]]) -> dict[str, Any]:
@@ -190,3 +283,37 @@ def documents_of(text: str) -> list[Any]:
         return [json.loads(text)]
     except ValueError:
         return [json.loads(line) for line in text.splitlines()]
+
+
+def write_schema(command: str, documents: list[Any], commands: Sequence[str] = tuple(EXAMPLES)) -> None:
+    """Let the schema of a command fit these documents, too. commands: the order in which the schemas stand."""
+    whole = json.loads(SCHEMAS.read_text(encoding="utf-8"))
+    known = [whole["commands"][command]] if command in whole["commands"] else []
+    whole["commands"][command] = merged([*known, *map(schema_of, documents)])
+    whole["commands"] = {each: whole["commands"][each] for each in commands if each in whole["commands"]}
+    text = json.dumps(described({**whole, "version": VERSION}, descriptions()), indent=1, ensure_ascii=False)
+    SCHEMAS.write_text(f"{text}\n", encoding="utf-8")
+
+
+def descriptions() -> dict[str, str]:
+    """What each field means, by its name: one place for the schemas and the page."""
+    texts: dict[str, str] = tomllib.loads(SCHEMAS.with_name("json_fields.toml").read_text(encoding="utf-8"))
+    return texts
+
+
+def json_that_fits(command: str, outcome: Outcome) -> Any:
+    """Return what a command has answered as JSON, which fits its schema."""
+    fit_their_schema(command, outcome.out)
+    return outcome.json
+
+
+def fit_their_schema(command: str, text: str) -> None:
+    """Hold what a command has answered against its schema, for a command that does it only in a test of its own."""
+    jsonschema = pytest.importorskip("jsonschema")
+    documents = documents_of(text)
+    assert documents
+    if os.environ.get("CANOPEN_WRITE_SCHEMAS"):
+        write_schema(command, documents)
+    schema = strict(json.loads(SCHEMAS.read_text(encoding="utf-8"))["commands"][command])
+    for document in documents:
+        jsonschema.validate(document, schema)

@@ -21,6 +21,7 @@ from canopen_proto.manager.parameters.backup import Backup
 from canopen_proto.nmt import NmtState
 from tests.cli.backup_world import EDS, NODE, Lasting, answering, change, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder
+from tests.cli.command_examples import fit_their_schema
 from tests.core.devices import LIMITED, TEXT
 from tests.manager.restore_bench import GAIN, Strict, device
 
@@ -103,6 +104,14 @@ def test_what_could_not_be_read_is_told_and_makes_a_backup_partial(run: Run, wor
     told = run("backup", *NODE, *EDS, "-o", "before.dcf", "-v", "--force").err
     assert "not read: 2002:00 limited: 3 bytes (01 02 03) are no UNSIGNED8" in told
     assert "not read: 2010:00 secret: write-only" in told
+
+
+def test_a_backup_by_the_file_of_another_device_says_so(run: Run, world: Lasting) -> None:
+    Path("other.eds").write_text(Path(EDS[1]).read_text().replace("[1018sub2]", "[1018sub2]\nDefaultValue=0x77\n;"))
+    told = run("backup", *NODE, "-e", "5=other.eds", "-o", "before.dcf")
+    assert told.status == ExitCode.PARTIAL
+    assert "other.eds is the file of ANOTHER DEVICE, by product code 0x" in told.err
+    assert "(file: 0x00000077)" in told.err
 
 
 def test_a_backup_that_cannot_be_written_is_told_before_the_work(run: Run, world: Lasting) -> None:
@@ -196,6 +205,7 @@ def test_a_dry_run_writes_nothing(run: Run, world: Lasting) -> None:
 def test_a_restore_as_json(run: Run, world: Lasting) -> None:
     change(run, world)
     outcome = run("restore", *NODE, "before.dcf", "--yes", "--json", "--skip", "gain", "--skip", "2003")
+    fit_their_schema("restore", outcome.out)
     assert outcome.status == 0
     document = outcome.json
     assert [(each["index"], each["sub"], each["done"]) for each in document["writes"]] == [(0x1801, 1, True)] * 2
@@ -237,6 +247,7 @@ def test_a_write_that_is_not_confirmed_is_told_and_not_repeated(run: Run, world:
     change(run, world)
     world.prepare = lambda node: setattr(node, "is_silent", lambda count: count == 3)
     outcome = run("restore", *NODE, "before.dcf", "--yes", "--json")
+    fit_their_schema("restore", outcome.out)
     assert outcome.status == ExitCode.NO_ANSWER
     assert "not confirmed, so it may have been executed: 2012:00 (gain); it is not sent again" in outcome.error["also"]
     assert len(world.writes) == 3
@@ -338,6 +349,7 @@ def test_files_that_do_not_suit(run: Run, world: Lasting) -> None:
 # ---- on a terminal ----
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("silent", [False, True])
 def test_progress_is_drawn_on_a_terminal(run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, silent: bool) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")

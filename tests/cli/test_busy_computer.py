@@ -14,7 +14,7 @@ from tests.cli.cli_support import TWO, TWO_JOINTS
 from tests.master.starved import StarvedClock
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_demonstration_stands_still_while_its_process_does(capsys: pytest.CaptureFixture[str], seed: int) -> None:
     clock = StarvedClock(seed)

@@ -65,6 +65,7 @@ FAILURES: Mapping[str, Mapping[str, Failure]] = {
 }
 
 
+@pytest.mark.thorough(2)
 @needs_vendor_files
 @pytest.mark.parametrize("name", ALL_NAMES)
 def test_what_fails_is_explained_by_the_file(name: str) -> None:

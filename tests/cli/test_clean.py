@@ -121,6 +121,7 @@ def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
 
 COMMANDS = [
     ("scan", "--ids", "5", *DEMO),
+    ("tui", "--allow", MARKED, *DEMO),
     ("info", "5", *DEMO),
     ("info", "5", "-e", "device.eds", *DEMO),
     ("read", "5", "1008", "2003", "2300", "-e", "device.eds", *DEMO),
@@ -150,7 +151,7 @@ COMMANDS = [
     ("time", "-b", "broken:x"),
     ("bus", "serve", "--bind", EVIL, "--yes", "--seconds", "0"),
     ("serve", "ascii", "--bind", EVIL, "--reachable", "--seconds", "0", *DEMO),
-    ("data", "init", "--to", EVIL[:-3]),
+    ("data", "init", "-o", EVIL[:-3]),
     ("sim", NAMED_EDS, "--id", "5", "--seconds", "0.2", "-b", "virtual:x"),
     ("sim", "odd.eds", "--id", "5", "--seconds", "0.2", "-b", "virtual:x", "--script", "odd.py"),
     ("plan", "--chains", "good.csv", *TIMING),
@@ -201,7 +202,7 @@ COMMANDS = [
     ("pdo", "show", "5", "-e", NAMED_EDS, "-b", "broken:x"),
     ("pdo", "map", "5", "tpdo2", EVIL, "--yes", "-e", "device.eds", *DEMO),
     ("pdo", "check", "-b", EVIL),
-    ("emcy", "watch", "--from", EVIL),
+    ("emcy", "watch", "--log", EVIL),
     ("emcy", "history", EVIL, *DEMO),
     ("emcy", "clear", EVIL, *DEMO),
     *[("net", "links", name) for name in ("odd_cell.toml", "odd_links.toml", "linked.toml")],
@@ -227,6 +228,7 @@ COMMANDS = [
     ("eds", "stubs", "odd.eds", "-o", "odd_stubs.py", "--class", EVIL),
     ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"2300={EVIL[:4]}", "-o", "new.dcf"),
     ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"{EVIL}=1", "-o", "new.dcf"),
+    ("eds", "to-dbc", NAMED_DCF, "--id", "5", "-o", f"{EVIL[:-3]}.dbc"),
     ("eds", "to-cdcf", NAMED_DCF, "-o", f"{EVIL[:-3]}.bin", "-v"),
     ("log", "decode", "odd.log"),
     ("log", "decode", "odd.log", "-e", "5=device.eds"),
@@ -242,18 +244,18 @@ COMMANDS = [
     ("log", "replay", "odd.log", "-b", "virtual:x"),
     ("watch", "5", "1008", "2003", "2300", "2301", "-e", "device.eds", *DEMO, "--seconds", "2"),
     ("watch", "5", "2003", "2300", "-e", "device.eds", *DEMO, "--seconds", "2", "--csv", f"{EVIL[:-3]}.csv", "--json"),
-    ("watch", "5", "1008", "--from", "odd.log", "--channel", EVIL),
+    ("watch", "5", "1008", "--log", "odd.log", "--channel", EVIL),
     ("watch", "5", EVIL, *DEMO),
-    ("top", "odd.log", "-e", "5=device.eds"),
-    ("top", "odd.log", "--json"),
+    ("top", "--log", "odd.log", "-e", "5=device.eds"),
+    ("top", "--log", "odd.log", "--json"),
     ("top", EVIL),
     ("log", "decode", "good.log"),
-    ("monitor", "odd.log", "-e", "5=device.eds"),
-    ("monitor", "good.log", "--json"),
+    ("monitor", "--log", "odd.log", "-e", "5=device.eds"),
+    ("monitor", "--log", "good.log", "--json"),
     ("listen", "-b", EVIL),
     ("monitor", EVIL),
-    ("monitor", "good.log", "--object", EVIL),
-    ("monitor", "good.log", "--service", EVIL),
+    ("monitor", "--log", "good.log", "--object", EVIL),
+    ("monitor", "--log", "good.log", "--service", EVIL),
     ("monitor", "-b", EVIL),
     ("log", "decode", EVIL),
     ("scan", "-b", EVIL),
@@ -271,10 +273,14 @@ COMMANDS = [
     ("serve", "zenoh", "--site", EVIL, *DEMO),
     ("serve", "web", "-b", EVIL),
     ("serve", "mcp", "-b", EVIL),
+    ("serve", "mqtt", "--site", "hall", "--broker", EVIL, *DEMO),
     ("fleet", "ls", "--zenoh", EVIL),
     ("fleet", "read", EVIL, "1008"),
     ("fleet", "watch", EVIL),
     ("fleet", "halt", EVIL),
+    ("fleet", "web", "--zenoh", EVIL),
+    ("fleet", "record", "history", EVIL),
+    ("fleet", "query", EVIL),
     ("fleet", "router", "--listen", EVIL),
 ]
 
@@ -288,7 +294,7 @@ def broken(*arguments: object, **options: object) -> None:
     raise TransportError("CO101", "broken:x", f"cannot open: {EVIL}", seen=EVIL, cause=EVIL, tries=(EVIL,))
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(8)
 @pytest.mark.parametrize("command", [*COMMANDS, *AS_JSON], ids=lambda command: clean(" ".join(command))[:40])
 def test_no_control_character_reaches_a_terminal(
     run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]

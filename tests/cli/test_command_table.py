@@ -11,6 +11,7 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,25 @@ from canopen_cli import app
 from canopen_cli.shared.problem import ExitCode
 from canopen_master.simulation.serving import SimulatedDevices
 from tests.cli.cli_support import Alarm, Outcome, Run, runner_in_folder
-from tests.cli.command_examples import EXAMPLES, SCHEMAS, VERSION, documents_of, merged, schema_of, strict
+from tests.cli.command_examples import (
+    EXAMPLES,
+    FURTHER,
+    SCHEMAS,
+    described,
+    descriptions,
+    documents_of,
+    merged,
+    schema_of,
+    strict,
+    write_schema,
+)
 from tests.cli.test_clean import paths
 from tests.examples import takes_all
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed: the extra `test` has it")
 
-COMMANDS = [" ".join(path) for path in paths(app.cli)]
+COMMANDS = [*EXAMPLES]
+"""All: a test compares. To walk the tree would read in every command, and the libraries of each, in all workers."""
 FILES = Path(__file__).parents[1] / "files"
 LOG = """\
 (1700000000.000000) can0 705#05 R
@@ -42,6 +55,10 @@ TEXTS = {
     "cell.toml": '[buses.can0]\nlocator = "virtual:x"\n[nodes.a]\nid = 5\n',
     "net.toml": f'[buses.can0]\nlocator = "virtual:x"\n{SIMULATED}',
     "bus.yaml": "bus:\n  device: can0\nnodes:\n  joint1:\n    id: 5\n",
+    "lamp.toml": f'[buses.can0]\nlocator = "virtual:x"\n{SIMULATED.replace("{}", "{ serial = 7, mandatory = false }")}',
+    "arm.toml": '[buses.demo]\nlocator = "virtual:demo"\n[nodes.joint1]\nid = 3\n[joints.joint1]\nunit = "degree"\n'
+    'counts_per_turn = 360000\n[chains.arm]\njoints = ["joint1"]\n',
+    "empty.log": "",
     "script.py": "print(await nodes[3].read_int('1000'))\n",
     "image.bin": "no program",
 }
@@ -85,8 +102,17 @@ def is_told(outcome: Outcome) -> bool:
 
 
 def test_every_command_has_an_example() -> None:
-    assert set(EXAMPLES) == set(COMMANDS)
+    assert [" ".join(path) for path in paths(app.cli)] == COMMANDS
     assert set(json.loads(SCHEMAS.read_text(encoding="utf-8"))["commands"]) <= set(COMMANDS)
+
+
+def test_every_command_answers_json_but_those_that_say_why_not() -> None:
+    known = json.loads(SCHEMAS.read_text(encoding="utf-8"))["commands"]
+    assert [each for each in COMMANDS if each not in known] == ["tui", "jog", "shell", "completion"]
+    page = (FILES.parents[1] / "docs" / "json.md").read_text(encoding="utf-8")
+    assert "`tui` and `jog` have none" in page
+    assert "`shell` and `run` print what their Python prints" in page
+    assert "`completion` writes the script" in page
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -116,25 +142,35 @@ def test_the_json_of_each_command_is_that_of_its_schema(
     run: Run, alarm: Alarm, simulations: list[SimulatedDevices], command: str
 ) -> None:
     alarm.set((8.0, signal.SIGINT))  # for those that have no end
-    outcome = run(*example(command), "--json")
+    answers_its_schema(run, command, example(command))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [(command, each) for command, lines in FURTHER.items() for each in lines],
+    ids=lambda line: f"{line[0]} {' '.join(line[1])}",
+)
+@pytest.mark.thorough(3)
+def test_the_json_of_further_examples(
+    run: Run, alarm: Alarm, simulations: list[SimulatedDevices], line: tuple[str, tuple[str, ...]]
+) -> None:
+    alarm.set((8.0, signal.SIGINT))
+    command, arguments = line
+    answers_its_schema(run, command, (*command.split(), *arguments))
+
+
+def answers_its_schema(run: Run, command: str, words: tuple[str, ...]) -> None:
+    outcome = run(*words, "--json")
     assert is_told(outcome), outcome.err
     documents = documents_of(outcome.out)
     if os.environ.get("CANOPEN_WRITE_SCHEMAS") and documents:
-        write_schema(command, documents)
+        write_schema(command, documents, COMMANDS)
     whole = json.loads(SCHEMAS.read_text(encoding="utf-8"))
     assert documents == [] or command in whole["commands"], "CANOPEN_WRITE_SCHEMAS=1: see command_examples.py"
     for document in documents:
         jsonschema.validate(document, strict(whole["commands"][command]))
     for line in documents_of(outcome.err):
         jsonschema.validate(line, strict(whole["stderr"]))
-
-
-def write_schema(command: str, documents: list[Any]) -> None:
-    whole = json.loads(SCHEMAS.read_text(encoding="utf-8"))
-    known = [whole["commands"][command]] if command in whole["commands"] else []
-    whole["commands"][command] = merged([*known, *map(schema_of, documents)])
-    whole["commands"] = {each: whole["commands"][each] for each in COMMANDS if each in whole["commands"]}
-    SCHEMAS.write_text(json.dumps({**whole, "version": VERSION}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 OF_A_BUS = [command for command in COMMANDS if EXAMPLES[command][-2:] == ("-b", "demo")]
@@ -198,6 +234,22 @@ def test_60_columns_of_a_dumb_terminal_in_c(
     outcome = run(*example(command))
     assert is_told(outcome), outcome.err
     assert "\x1b" not in outcome.out + outcome.err
+
+
+def fields_of(schema: dict[str, Any]) -> Iterator[str]:
+    for name, each in schema.get("properties", {}).items():
+        yield name
+        yield from fields_of(each)
+    for part in ("items", "additionalProperties"):
+        if isinstance(schema.get(part), dict):
+            yield from fields_of(schema[part])
+
+
+def test_each_field_is_described() -> None:
+    whole = json.loads(SCHEMAS.read_text(encoding="utf-8"))
+    named = {name for schema in (whole["stderr"], *whole["commands"].values()) for name in fields_of(schema)}
+    assert named == descriptions().keys()
+    assert described(whole, descriptions()) == whole, "CANOPEN_WRITE_SCHEMAS=1: see command_examples.py"
 
 
 def test_the_page_is_that_of_the_schemas() -> None:

@@ -91,9 +91,25 @@ def test_objects_are_those_of_the_nodes_file_and_constants_those_of_the_object(c
     assert complete("canopen read -e nowhere.eds 5 statu") == []
     assert "sm_shutdown" in complete("canopen write 3 controlword ")
     assert complete("canopen write 3 no_such_object ") == []
+    assert complete("canopen read 3:statu") == ["3:statusword"]
+    assert complete(f"canopen watch -m {tmp_path}/cell.toml lift:PROD") == ["lift:producer_heartbeat_time"]
+    assert "sm_shutdown" in complete("canopen write 3:controlword ")
+    assert complete("canopen log decode a.log --object statu") == ["statusword"]
+    assert complete("canopen monitor --object 5:statu") == ["5:statusword"]
+    assert complete("canopen log plot a.log statu") == ["statusword"]
+    assert complete("canopen eds show sample_io.eds prod") == ["producer_heartbeat_time"]
     assert complete("canopen read 3 -o ") == [""]  # a file: the shell's own completion
     shutil.rmtree(tmp_path / "own")
     assert complete("canopen read 3 statu") == []  # $CANOPEN_DATA is wrong: the command will tell
+
+
+@pytest.mark.parametrize(
+    "line", ["monitor --log ", "log decode ", "log convert a.log ", "eds show ", "net boot ", "machine check ", "plan ", "move "]
+)
+def test_files_are_completed_by_the_shell(complete, line: str) -> None:  # type: ignore[no-untyped-def]
+    assert complete(f"canopen {line}") == [""]
+    assert complete("canopen log decode --service ") == []
+    assert complete("canopen read --json -b demo ") == ["3", "4", "5", "6", "7", "8"]
 
 
 def test_no_command_is_imported_for_a_word_that_depends_on_files() -> None:

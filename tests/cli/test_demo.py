@@ -57,6 +57,7 @@ def test_the_result_as_json(run: Run) -> None:
         assert joint["sdo_round_trips"] > 10
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("times", [1, 6])
 def test_a_computer_that_is_too_slow_is_told(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, times: int) -> None:
     """All was done all the same."""
@@ -136,7 +137,7 @@ def test_the_bus_variable_does_not_make_it_move_real_drives(run: Run, monkeypatc
     assert run("demo", *TWO).status == 0
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("at", [0.0, 0.01, 0.02, 0.5, 1.3, 1.52, 1.57, 1.59, 1.67, 1.97, 2.12, 2.17])
 def test_ctrl_c_leaves_every_drive_halted(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
@@ -149,6 +150,7 @@ def test_ctrl_c_leaves_every_drive_halted(run: Run, simulations: list[SimulatedD
         assert "halted: joint1, joint2\n" in outcome.err
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("steps", range(25))
 def test_a_cancel_while_the_simulated_drives_begin_ends_them(steps: int) -> None:
     async def serve() -> None:
@@ -194,6 +196,7 @@ def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, simulations
     assert "emergency stop" in outcome.err
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(("at", "joints", "names"), [(2.0, (), range(1, 7)), (3.1, TWO_JOINTS, range(1, 3))])
 def test_ctrl_c_halts_drives_made_of_a_file(
     run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float, joints: tuple[str, ...], names: range

@@ -194,7 +194,7 @@ def test_another_device_of_the_masters_demo(capsys: pytest.CaptureFixture[str]) 
     assert "node 7" in capsys.readouterr().err
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("command", RUNS)
 def test_a_demo_does_what_the_manual_says(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str

@@ -54,7 +54,7 @@ def test_something_is_to_be_done(run: Run, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_demonstrations_bus(run: Run) -> None:
-    outcome = run("doctor", "-b", "demo", "--listen", "1s")
+    outcome = run("doctor", "-b", "demo", "--for", "1s")
     assert outcome.status == 0
     assert "nodes             3 (0x03), 4 (0x04), " in outcome.out
     assert "canopen scan -b demo" in outcome.out

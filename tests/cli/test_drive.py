@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -68,8 +69,8 @@ def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
     for line in (
         "state             switch on disabled",
         "mode              no mode",
-        "it does not move  it is not enabled: switch on disabled. Try: enable it",
-        "                  no mode of operation is selected (0x6061 is 0). Try: select one (0x6060)",
+        "it does not move  it is not enabled: switch on disabled. Try: enable it: canopen drive enable 3 -b demo",
+        f"{'':18}no mode of operation is selected (0x6061 is 0). Try: select one (0x6060): canopen drive mode 3 -b demo",
     ):
         assert line in outcome.out.splitlines()
     document = run("drive", "3", "state", *DEMO, "--json").json
@@ -150,12 +151,16 @@ def test_units_and_which_objects_say_so(run: Run, monkeypatch: pytest.MonkeyPatc
     assert (document["counts_per_turn"], document["rated_torque"], document["conflicts"]) == (100_000, 1.27, [])
 
 
-def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     outcome = run("drive", "3", "units", *DEMO)  # a joint of Schunk's tells nothing, but its vendor-ID is enough
     assert "a degree 1000 counts" in " ".join(outcome.out.split())
     prepare(monkeypatch, of_another_maker)
     outcome = run("drive", "3", "units", *DEMO)
     assert "The drive does not tell what a count is. Try: counts_per_turn in a machine file" in outcome.err
+    machine = tmp_path / "elbow.toml"
+    machine.write_text("[buses.can0]\n[nodes.elbow]\nid = 3\n[joints.elbow]\nunit = 'degree'\ncounts_per_turn = 4096\n")
+    outcome = run("drive", "elbow", "units", "-m", str(machine), *DEMO)
+    assert "The drive does not tell what a count is. The machine file does: 11.3778 in a degree" in outcome.err
     encoder = {objects.POSITION_ENCODER_RESOLUTION: 2000, objects.POSITION_ENCODER_RESOLUTION + 1: 1}
     device(monkeypatch, {**encoder, objects.SI_UNIT_POSITION: 0xFD410000})
     outcome = run("drive", "5", "units", *DEMO)
@@ -194,6 +199,18 @@ def test_move(run: Run, simulations: list[SimulatedDevices]) -> None:
     assert document == {"from": -14000, "to": pytest.approx(-14500, abs=WINDOW), "unit": "counts", "state": "switch on disabled"}
 
 
+def test_a_position_has_the_decimals_of_a_count(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """-14000 counts of 4096 in a turn are -1230.46875 degrees, and a count is 0.088: two decimals tell them apart."""
+    prepare(monkeypatch, of_another_maker)
+    machine = tmp_path / "elbow.toml"
+    machine.write_text("[buses.can0]\n[nodes.elbow]\nid = 3\n[joints.elbow]\nunit = 'degree'\ncounts_per_turn = 4096\n")
+    cell = ("-m", str(machine), *DEMO)
+    assert "position          -1230.47 degree  (-14000 counts)" in run("drive", "elbow", "state", *cell).out.splitlines()
+    assert run("drive", "elbow", "state", *cell, "--json").json["position_in_unit"] == -1230.46875
+    moved = run("drive", "elbow", "move", "--relative", *cell, "--", "1").out.splitlines()[0]
+    assert re.fullmatch(r"moved             from -1230.47 to -12\d\d\.\d{1,2} degrees", moved)
+
+
 def test_a_move_in_a_unit_that_the_drive_does_not_tell(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     drives = prepare(monkeypatch, of_another_maker)
     outcome = run("drive", "3", "move", "10", "--in", "degree", *DEMO)
@@ -226,6 +243,15 @@ def test_an_option_that_is_no_finite_number_is_refused_before_a_drive_is_enabled
     assert outcome.status == ExitCode.USAGE
     assert f"'{number}' is not a" in outcome.err  # finite number, or time
     assert not simulations
+
+
+def test_a_unit_is_known_by_its_short_name_too(run: Run) -> None:
+    degrees = run("drive", "move", "3", "2", "--in", "degree", "--dry-run", "--json", *DEMO)
+    assert degrees.status == 0, degrees.err
+    for name in ("deg", "degrees", "DEG", "°"):
+        assert run("drive", "move", "3", "2", "--in", name, "--dry-run", "--json", *DEMO).json == degrees.json
+    wrong = run("drive", "move", "3", "2", "--in", "nm", "--dry-run", *DEMO)
+    assert (wrong.status, "'nm' is not one of 'counts', 'radian', 'degree'" in wrong.err) == (ExitCode.USAGE, True)
 
 
 def test_a_mode_of_the_maker_needs_no_dashes_before_it(run: Run, simulations: list[SimulatedDevices]) -> None:
@@ -262,6 +288,7 @@ def test_enable_holds_the_power_for_a_time(run: Run, simulations: list[Simulated
     outcome = run("drive", "3", "enable", "--seconds", "2", *DEMO)
     assert outcome.status == 0
     assert "drive 3 is enabled, in interpolated position (ip); Ctrl-C disables it" in outcome.err
+    assert "2 s are over: it gets no more power" in outcome.err
     assert State.OPERATION_ENABLED in seen
     assert simulations[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
 

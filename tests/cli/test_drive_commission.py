@@ -97,7 +97,7 @@ def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, simulation
     assert not Path("drive3.toml").exists()
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("at", [0.001, 0.02, 0.1, 0.5, 1.9])
 def test_ctrl_c_leaves_it_standing_and_says_what_was_done(
     commission: Commission, simulations: list[SimulatedDevices], at: float
@@ -158,6 +158,20 @@ def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path,
     assert machine.joints["elbow"].settings.max_position == 90
     assert machine.joints["b"].settings.max_position is None
     assert machine.buses["left"].locator == "virtual:x"
+
+
+def test_a_name_that_is_taken_is_told_as_it_becomes(
+    commission: Commission, tmp_path: Path, simulations: list[SimulatedDevices]
+) -> None:
+    """And not as it was asked for, in the names of files and at the end."""
+    cell = tmp_path / "cell.toml"
+    cell.write_text('[buses.left]\nlocator = "virtual:x"\n[nodes]\ndrive3 = { id = 9 }\n')
+    outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, "", "y", "y", "n", "", options=("-m", str(cell)))
+    assert outcome.status == 0, outcome.err
+    assert {"drive3-2.toml", "drive3-2.dcf"} <= {each.name for each in tmp_path.iterdir()}
+    assert set(read_machine(tmp_path / "drive3-2.toml").joints) == {"drive3-2"}
+    assert "drive3-2.toml: drive3-2 with its unit" in outcome.err
+    assert "the joint is drive3-2 in the machine file, not drive3" in outcome.err
 
 
 def test_yes_is_for_simulated_drives(

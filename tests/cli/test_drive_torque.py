@@ -15,6 +15,7 @@ from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.plant import Mechanics
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.cli.cli_support import Alarm, Run, only_drive, stands
+from tests.cli.command_examples import json_that_fits
 
 ON_IT = ("-b", "demo", "--seconds", "0.5")
 
@@ -44,10 +45,13 @@ def test_a_torque_for_a_time(run: Run, drives: list[DriveNode]) -> None:
 
 
 def test_in_newton_metres_to_the_other_side(run: Run, drives: list[DriveNode]) -> None:
-    document = run(
-        "drive", "5", "torque", "--in", "newton-metre", "--slope", "5", "--any-speed", "--json", *ON_IT, "--", "-1"
-    ).json
-    assert document == {"per_mille": -100, "newton_metre": -1, "seconds": 0.5, "state": "switch on disabled"}
+    outcome = run("drive", "5", "torque", "--in", "newton-metre", "--slope", "5", "--any-speed", "--json", *ON_IT, "--", "-1")
+    assert json_that_fits("drive torque", outcome) == {
+        "per_mille": -100,
+        "newton_metre": -1,
+        "seconds": 0.5,
+        "state": "switch on disabled",
+    }
     assert drives[-1].values.store[objects.TORQUE_SLOPE] == 500
     assert drives[-1].values.store[objects.POSITION_ACTUAL_VALUE] < -1_000  # type: ignore[operator]
     is_over(drives[-1])

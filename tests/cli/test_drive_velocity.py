@@ -18,6 +18,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.cli.cli_support import Alarm, Run, only_drive, stands
+from tests.cli.command_examples import json_that_fits
 
 DEMO = ("-b", "demo")
 
@@ -51,14 +52,15 @@ def test_for_a_time_in_counts(run: Run, drives: list[DriveNode]) -> None:
     is_over(drives[-1])
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(
     ("unit", "counts"), [("rpm", 100), ("turn", 6_000), ("degree", 6_000 / 360), ("radian", 6_000 / 2 / math.pi)]
 )
 @pytest.mark.parametrize("mode", ["pv", "vl"])
 def test_units(run: Run, drives: list[DriveNode], unit: str, counts: float, mode: str) -> None:
     value = 2_000 / counts
-    document = run("drive", "5", "velocity", str(value), "--in", unit, "--mode", mode, "--seconds", "3", "--json", *DEMO).json
+    outcome = run("drive", "5", "velocity", str(value), "--in", unit, "--mode", mode, "--seconds", "3", "--json", *DEMO)
+    document = json_that_fits("drive velocity", outcome)
     assert document["velocity"] == pytest.approx(value, rel=0.01)
     assert (document["mode"], document["state"]) == ({"pv": 3, "vl": 2}[mode], "switch on disabled")
     assert document["reached"] is True
@@ -72,6 +74,7 @@ def test_what_its_unit_cannot_hold_is_told(run: Run, drives: list[DriveNode]) ->
     assert "it runs at 10 rpm (10.4 was asked for), in velocity (vl)" in outcome.err
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("at", [0.01, 0.05, 0.3, 2.0])
 @pytest.mark.parametrize("mode", ["pv", "vl"])
 def test_ctrl_c_stops_it(run: Run, drives: list[DriveNode], alarm: Alarm, at: float, mode: str) -> None:

@@ -48,7 +48,7 @@ def changes(frame: Frame) -> bool:
     return frame.can_id & 0x780 != ERROR_CONTROL and frame.data[0] >> 5 not in (2, 3, 5)  # not a heartbeat, nor an SDO upload
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(
     ("state", "line"),
     [

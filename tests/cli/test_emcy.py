@@ -24,14 +24,14 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 def test_the_emergencies_of_a_recording_in_words(run: Run) -> None:
     Path("bus.log").write_text(LOG)
-    outcome = run("emcy", "watch", "--from", "bus.log")
+    outcome = run("emcy", "watch", "--log", "bus.log")
     first, second, third = outcome.out.splitlines()
     assert "node 5 (0x05): 0x8220 PDO length exceeded; register 0x11 (generic, communication), maker's bytes 01 02" in first
     assert first.startswith("! ")
     assert "node 6 (0x06): 0x0000 error reset or no error; register 0x00" in second
     assert third.split()[0] == "2.000"
     assert "3 emergencies" in outcome.err
-    lines = run("emcy", "watch", "--from", "bus.log", "--node", "5", "--json").out.splitlines()
+    lines = run("emcy", "watch", "--log", "bus.log", "--node", "5", "--json").out.splitlines()
     documents = [json.loads(each) for each in lines]
     assert [each["code"] for each in documents] == [0x8220, 0]
     assert documents[0]["register_names"] == ["generic", "communication"]

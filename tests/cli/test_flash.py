@@ -27,6 +27,7 @@ from canopen_proto.simulation.boot_loader import BootDone, BootLoader, BootLoade
 from canopen_transports import TransportError
 from canopen_transports.errors import BUS_LOST
 from tests.cli.cli_support import Alarm, Run
+from tests.cli.command_examples import json_that_fits
 from tests.core.block_pair import pattern
 
 IMAGE = pattern(3000)
@@ -81,13 +82,14 @@ def test_what_is_there_is_not_written_again(run: Run, world: World) -> None:
     outcome = run("flash", "5", "firmware.bin", "--expect", "crc32", *DEMO, "--yes")
     assert "it has this program already" in outcome.err
     assert "nothing was written" in outcome.err
-    document = run("flash", "5", "firmware.bin", "--expect", hex(crc32(IMAGE)), *DEMO, "--yes", "--force", "--json").json
+    outcome = run("flash", "5", "firmware.bin", "--expect", hex(crc32(IMAGE)), *DEMO, "--yes", "--force", "--json")
+    document = json_that_fits("flash", outcome)
     assert (document["written"], document["before"], document["after"]) == (True, crc32(IMAGE), crc32(IMAGE))
 
 
 def test_dry_run_writes_nothing(run: Run, world: World) -> None:
     assert "nothing was written (--dry-run)" in run("flash", "5", "firmware.bin", "--dry-run", *DEMO).err
-    assert run("flash", "5", "firmware.bin", "--dry-run", "--json", *DEMO).json["written"] is False
+    assert json_that_fits("flash", run("flash", "5", "firmware.bin", "--dry-run", "--json", *DEMO))["written"] is False
     assert world.memory.program != IMAGE
 
 
@@ -125,7 +127,7 @@ def test_what_nothing_verifies_is_told_before_and_after(run: Run, world: World, 
     assert "it will be started without being verified: the device has no flash status (1F57)" in outcome.err
     assert "not verified: nothing has shown that the new program runs" in outcome.err
     assert "Try: canopen flash 5 firmware.bin --expect" in outcome.err
-    document = run("flash", "5", "firmware.bin", "--yes", "--json", *DEMO).json
+    document = json_that_fits("flash", run("flash", "5", "firmware.bin", "--yes", "--json", *DEMO))
     assert (document["verified"], document["verified_by"]) == (False, None)
 
     async def answer() -> bytes:

@@ -86,6 +86,7 @@ def test_plus_and_minus_move_it_to_and_fro(hold: Hold, arm: Devices, capsys: pyt
     assert "hold + or -: it moves; q: end" in capsys.readouterr().out
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("tap", ["+", "x", "+q", END])
 def test_a_tap_moves_nothing(hold: Hold, arm: Devices, tap: str) -> None:
     start = place(arm)
@@ -119,7 +120,7 @@ def test_without_a_terminal_nothing_is_sent(
     assert arm.frames() == []
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(("key", "status"), [(b"q", 0), (b"\x04", 0), (b"\x03", 130)])
 def test_in_a_terminal_of_its_own(key: bytes, status: int) -> None:
     ours, theirs = os.openpty()

@@ -89,7 +89,7 @@ def test_what_a_device_no_longer_sends_is_stale_and_a_dead_bus_is_an_error(opene
 @pytest.mark.thorough
 def test_keys_come_from_the_terminal_though_the_frames_come_by_a_pipe(opened: Callable[..., Terminal], tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "frames")
-    terminal = opened(canopen("top", "-", "--bitrate", "500k") + " < frames" + MODES)
+    terminal = opened(canopen("top", "--log", "-", "--bitrate", "500k") + " < frames" + MODES)
     with (tmp_path / "frames").open("w") as frames:
         frames.write("(1.0) can0 705#05\n(1.1) can0 085#3081110000000000\n(1.2) can1 706#7F\n(1.3) can0 705#05\n")
         frames.flush()
@@ -107,7 +107,7 @@ def test_keys_come_from_the_terminal_though_the_frames_come_by_a_pipe(opened: Ca
 @pytest.mark.thorough
 def test_a_recording_that_ends_leaves_its_last_values(opened: Callable[..., Terminal], tmp_path: Path) -> None:
     (tmp_path / "t.log").write_text("(1.0) can0 185#3706000001000000\n(1.1) can0 705#05\n")
-    terminal = opened(canopen("watch", "5", "6041", "6064", "--from", "t.log") + MODES)
+    terminal = opened(canopen("watch", "5", "6041", "6064", "--log", "t.log") + MODES)
     assert terminal.wait_for_end() == 0
     after = terminal.history()
     assert after[0].startswith("node 5 (0x05)  operational")

@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from canopen_cli.live.clocks import StampClock
 from canopen_cli.live.source import AHEAD, BATCH, INPUT, Heard, LiveSource, open_live_source
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import CommandError
@@ -26,6 +25,7 @@ from canopen_transports import BusState, BusStateChanged, open_transport
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.log_files import LogFileError
 from canopen_transports.record import Record
+from canopen_transports.stamp_clock import StampClock
 from tests.examples import examples
 
 T = TypeVar("T")

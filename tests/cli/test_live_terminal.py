@@ -25,7 +25,7 @@ Open = Callable[..., Terminal]
 
 def test_monitor_on_80_columns(opened: Open, tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(LOG)
-    terminal = opened(canopen("monitor", "a.log"), lines=30)
+    terminal = opened(canopen("monitor", "--log", "a.log"), lines=30)
     assert terminal.wait_for_end() == 0
     lines = terminal.screen()
     assert lines[:4] == [
@@ -46,7 +46,7 @@ def test_monitor_on_80_columns(opened: Open, tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_monitor_on_a_wide_terminal_shows_the_bytes(opened: Open, tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(LOG)
-    terminal = opened(canopen("monitor", "a.log", "--no-color", "--node", "5"), columns=120)
+    terminal = opened(canopen("monitor", "--log", "a.log", "--no-color", "--node", "5"), columns=120)
     assert terminal.wait_for_end() == 0
     assert not re.search("\x1b\\[[0-9;]*3[1-7]m", "\n".join(terminal.screen(colours=True)))
     assert terminal.screen()[1] == "    0.100000 605#4041600000000000      SDO         5  read 6041:00 statusword"
@@ -75,7 +75,7 @@ def test_monitor_in_a_pipe_is_plain_and_ends_with_its_reader(opened: Open) -> No
 
 def test_monitor_shows_what_comes_by_a_pipe_at_once(opened: Open, tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(LOG)
-    terminal = opened(f"(cat a.log; exec sleep 1000) | {canopen('monitor', '-', '--service', 'emcy,?')}")
+    terminal = opened(f"(cat a.log; exec sleep 1000) | {canopen('monitor', '--log', '-', '--service', 'emcy,?')}")
     terminal.wait_for("0x8110 CAN overrun")
     terminal.press("C-c")
     assert terminal.wait_for_end() == 0

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from canopen_cli.shared.problem import ExitCode
 from canopen_proto.frame import REMOTE
 from canopen_transports.log_files import LogReader
 from canopen_transports.tracing import Trace
@@ -92,7 +93,7 @@ def test_a_trace_that_cannot_be_begun(run: Run, name: str, seen: str) -> None:
 def test_a_trace_that_lacks_something_says_so(run: Run, log: Path) -> None:
     outcome = run("log", "replay", str(log), "-b", "virtual:x", "--trace", "t.trc")
     assert outcome.status == 6
-    assert "1 frames are not in it (.trc: remote frames are left out" in outcome.err
+    assert "1 frame missing in it (.trc: remote frames are left out" in outcome.err
     assert "error CO343: the trace t.trc is not complete" in outcome.err
 
 
@@ -126,7 +127,7 @@ def test_a_trace_never_replaces_what_is_being_read(run: Run, log: Path, tmp_path
     assert heard == [frame.removesuffix(" T") for frame in frames(str(log))]
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("kind", [".asc", ".blf", ".trc", ".pcapng"])
 def test_a_trace_of_another_kind_is_whole_after_ctrl_c(run: Run, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     alarm = Alarm()
@@ -151,7 +152,7 @@ def test_a_trace_that_missed_frames_says_so(run: Run, monkeypatch: pytest.Monkey
     monkeypatch.setattr(Trace, "close", lossy)
     outcome = run("read", "3", "statusword", "-b", "demo", "--trace", "t.log")
     assert outcome.status == 6
-    assert "frames were lost before they could be recorded" in outcome.err
+    assert " lost before being recorded" in outcome.err
 
 
 # ---- convert ----
@@ -183,10 +184,10 @@ def test_a_replay_as_json(run: Run, log: Path) -> None:
 def test_convert_says_what_it_leaves_out(run: Run, log: Path) -> None:
     outcome = run("log", "convert", str(log), "b.trc")
     assert outcome.status == 7
-    assert "1 frames are left out; .log holds them" in outcome.err
+    assert "1 frame left out; .log holds them" in outcome.err
     assert not any(record.frame.flags & REMOTE for record in LogReader(Path("b.trc")))
     log.write_text(LOG + "(103.0) can0 123##1AA\n")
-    assert "1 entries passed over, the last: a CAN FD frame" in run("log", "convert", str(log), "b.log").err
+    assert "1 entry passed over, the last: a CAN FD frame" in run("log", "convert", str(log), "b.log").err
 
 
 def test_convert_spoils_nothing(run: Run, log: Path) -> None:
@@ -230,12 +231,19 @@ def test_replay(run: Run, log: Path) -> None:
     sent = list(LogReader(Path("t.log")))
     assert [str(record.frame) for record in sent] == [frame.removesuffix(" T") for frame in frames(str(log))]
     assert (sent[-1].time - sent[0].time) / 1e9 == pytest.approx(2.0, abs=1e-3)
+    Path("one.log").write_text("(1.0) can0 705#05\n")
+    assert "1 frame sent on virtual:x" in run("log", "replay", "one.log", "-b", "virtual:x").err
     assert run("log", "replay", str(log), "-b", "virtual:x", "--trace", "u.log", "--speed", "max", "--only-sent").status == 0
     assert frames("u.log") == ["603#4041600000000000 T", "703#R1 T"]
 
 
 def test_replay_wants_a_bus_and_a_speed(run: Run, log: Path) -> None:
     assert "canopen bus serve" in run("log", "replay", str(log)).err
+    for bus in ("socketcan:can0", "can0", "pcan:PCAN_USBBUS1@500k"):  # drives may be there
+        outcome = run("log", "replay", str(log), "-b", bus)
+        assert (outcome.status, "DRIVES MAY MOVE. This must be confirmed" in outcome.err) == (2, True)
+        assert run("log", "replay", str(log), "-b", bus, "--yes").status in (3, 9)  # there is no such bus here
+    assert run("log", "replay", str(log), "-b", "socketcan:vcan77").status in (3, 9)
     for speed in ("fast", "0", "-1", "nan"):
         outcome = run("log", "replay", str(log), "-b", "virtual:x", "--speed", speed)
         assert outcome.status == 2
@@ -260,8 +268,7 @@ def test_stats(run: Run, log: Path) -> None:
     assert found["load_percent"] == pytest.approx(sum(each["load_percent"] for each in found["ids"]))
     log.write_text("(1.0) can0 703#00\n")
     assert run("log", "stats", str(log), "--json").json["ids"][0]["service"] == "heartbeat"
-    log.write_text("")
-    assert "0 frames in 0 s" in run("log", "stats", str(log)).out
+    assert "\n1 frame in 0 s" in run("log", "stats", str(log)).out
     outcome = run("log", "stats", str(log), "--bitrate", "2M", "--json")
     assert (outcome.status, outcome.error["code"]) == (2, "CO001"), "as of `canopen plan`"
 
@@ -285,12 +292,12 @@ def test_decode_by_a_devices_file(run: Run, tmp_path: Path) -> None:
     assert outcome.status == 0
     assert "read 1000:00" in outcome.out
     assert "TPDO 1" in outcome.out
-    assert "1 entries passed over" in outcome.err
+    assert "1 entry passed over" in outcome.err
 
 
 def test_a_recording_without_any_frame_is_no_bus_without_faults(run: Run) -> None:
     Path("fd.log").write_text("(1.2) can0 123##1AA\n")
-    for command in (("log", "check"), ("log", "decode"), ("monitor",)):
+    for command in (("log", "check"), ("log", "decode"), ("monitor", "--log")):
         outcome = run(*command, "fd.log")
         assert (outcome.status, "CO342" in outcome.err, "a CAN FD frame" in outcome.err) == (6, True, True), command
 
@@ -310,7 +317,7 @@ def test_decode_says_what_is_wrong_with_a_frame(run: Run, tmp_path: Path) -> Non
     outcome = run("log", "decode", "a.log")
     lines = outcome.out.splitlines()
     assert lines[3] == f"! {LACKING}"
-    assert lines[7] == "! length: an NMT command of 1 bytes; it has two"
+    assert lines[7] == "! length: an NMT command of 1 byte; it has two"
     assert (outcome.status, len(lines)) == (0, 8)
     third = json.loads(run("log", "decode", "a.log", "--json").out.splitlines()[2])
     assert [(each["rule"], each["node_id"]) for each in third["findings"]] == [("missing", 3)]
@@ -325,7 +332,7 @@ def test_check(run: Run, tmp_path: Path, log: Path) -> None:
     assert outcome.status == 1
     assert outcome.out.splitlines() == [
         f"    0.200000 583#4B41600037060000      {LACKING}",
-        "    0.500000 000#01                    length: an NMT command of 1 bytes; it has two",
+        "    0.500000 000#01                    length: an NMT command of 1 byte; it has two",
     ]
     assert "1 x missing (likely): frames are missing here" in outcome.err
     assert "6 frames, 2 findings (1 certain, 1 likely)" in outcome.err
@@ -374,6 +381,21 @@ def test_aborts_alone_are_no_fault(run: Run) -> None:
     Path("a.log").write_text("(1.0) can0 605#4000200000000000\n(1.1) can0 585#8000200000000206\n")
     outcome = run("log", "check", "a.log")
     assert (outcome.status, "2 frames, 1 event\n" in outcome.err) == (0, True)
+
+
+def test_check_tells_what_could_be_read_of_a_recording_that_is_cut(run: Run) -> None:
+    """A recorder that was killed leaves half a line, or nothing at all."""
+    Path("cut.log").write_text(BAD + "(1.6) can0 5")
+    outcome = run("log", "check", "cut.log")
+    whole = run("log", "check", "cut.log", "--json").out
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "cut.log:7 is not understood" in outcome.err
+    assert "6 frames, " in outcome.err
+    Path("bad.log").write_text(BAD)
+    assert run("log", "check", "bad.log").out == outcome.out
+    assert run("log", "check", "bad.log", "--json").out == whole
+    Path("empty.log").write_text("")
+    assert run("log", "check", "empty.log").status == ExitCode.BAD_FILE
 
 
 def test_check_looks_at_the_load(run: Run, tmp_path: Path) -> None:
@@ -426,7 +448,9 @@ def test_decode_reads_what_candump_shows_from_standard_input(run: Run, monkeypat
 
 def test_a_standard_input_that_is_closed_is_empty(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", None)
-    assert run("log", "decode", "-") == (0, "", "")
+    outcome = run("log", "decode", "-")
+    assert (outcome.status, outcome.out) == (ExitCode.BAD_FILE, "")
+    assert "there is no frame in standard input" in outcome.err
     sys.stdin.close()
 
 

@@ -59,12 +59,38 @@ def test_a_row_for_each_value_with_its_time_by_the_clock(run: Run) -> None:
         (("--since", "1s"), [0x233]),
         (("--until", "1.5"), [0x237]),
         (("--since", "2023-11-14T22:13:21+00:00"), [0x233]),
-        (("--since", "3s"), []),
     ],
 )
 def test_a_window_of_time(run: Run, window: tuple[str, ...], values: list[int]) -> None:
     assert run("log", "export", "bus.log", "-o", "values.csv", *STATUSWORD, *window).status == ExitCode.OK
     assert [int(each["value"]) for each in table("values.csv")] == values
+
+
+@pytest.mark.parametrize(
+    ("objects", "values"),
+    [
+        (("5:statusword",), [0x237, 0x233]),
+        (("5:6041",), [0x237, 0x233]),
+        (("0x5:6041:00",), [0x237, 0x233]),
+        (("6:statusword",), []),
+        (("6:6041",), []),
+        (("6:statusword", "5:6064"), [10_000, 10_000]),
+        (("6041:00",), [0x237, 0x233]),
+    ],
+)
+def test_an_object_of_one_node(run: Run, objects: tuple[str, ...], values: list[int]) -> None:
+    words = [word for each in objects for word in ("--object", each)]
+    assert run("log", "export", "bus.log", "-o", "values.csv", *words).status == ExitCode.OK
+    assert [int(each["value"]) for each in table("values.csv")] == values
+    lines = run("log", "decode", "bus.log", *words).out
+    assert ("read 6041:00" in lines) is (0x237 in values)
+
+
+def test_an_object_of_a_node_that_has_none(run: Run) -> None:
+    outcome = run("log", "decode", "bus.log", "--object", "5:statuswrod")
+    assert outcome.status == ExitCode.BAD_FILE or outcome.status == ExitCode.USAGE
+    assert "statusword" in outcome.err  # what was meant
+    assert run("log", "decode", "bus.log", "--object", "200:statusword").status == ExitCode.USAGE
 
 
 def test_a_column_for_each_object(run: Run) -> None:

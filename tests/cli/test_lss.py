@@ -6,12 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from canopen_cli.lss import set as lss_set
 from canopen_cli.lss.set import read_table
 from canopen_cli.shared import questions
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.simulation import serving
 from canopen_proto.lss.slave import LssSlave
 from tests.cli.cli_support import Run
+from tests.cli.command_examples import json_that_fits
 
 NOT_SUPPORTED = 1
 
@@ -72,6 +74,25 @@ def test_each_device_is_finished_before_the_next_is_searched(run: Run) -> None:
 
 
 @pytest.mark.usefixtures("without_ids")
+def test_a_dry_run_of_assign_says_which_device_would_get_which(run: Run) -> None:
+    outcome = run("lss", "assign", "--ids", "10-20", *DRIVE, *QUICK, "--dry-run")
+    assert outcome.status == ExitCode.OK
+    assert "would give 2 node-IDs: 10 to 0x332:0x43:0x10000:0x1, 11 to 0x332:0x43:0x10000:0x2" in outcome.err
+    assert "two devices with one address would show only once the first has its node-ID" in outcome.err
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_a_dry_run_of_assign_tells_whom_the_table_leaves_alone(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "nodes.csv"
+    table.write_text("node_id, vendor, serial\n12, 0x332, 2\n13, 0x332, 9\n")
+    outcome = run("lss", "assign", "--table", str(table), *DRIVE, *QUICK, "--dry-run")
+    assert outcome.status == ExitCode.PARTIAL
+    assert "would give 1 node-ID: 12 to 0x332:0x43:0x10000:0x2" in outcome.err
+    assert "0x332:0x43:0x10000:0x1 is left alone" in outcome.err
+    assert "no device has node-ID 13" in outcome.err
+
+
+@pytest.mark.usefixtures("without_ids")
 def test_assign_by_a_table_leaves_strangers_alone(run: Run, tmp_path: Path) -> None:
     table = tmp_path / "nodes.csv"
     table.write_text("node_id, vendor, serial\n12, 0x332, 2\n")
@@ -106,9 +127,9 @@ def test_assign_writes_nothing_without_a_yes(run: Run, monkeypatch: pytest.Monke
 
 def test_inquire_identify_store_and_set_id_of_a_node(run: Run) -> None:
     assert run("lss", "inquire", "5", *QUICK).out == "0x332:0x43:0x10000:0x3  node-ID 5\n"
-    found = run("lss", "identify", *DRIVE[:4], "--serial", "2-3", *QUICK, "--json").json
+    found = json_that_fits("lss identify", run("lss", "identify", *DRIVE[:4], "--serial", "2-3", *QUICK, "--json"))
     assert [each["serial_number"] for each in found] == [2, 3]
-    assert "stored, node-ID 4" in run("lss", "store", "0x332:0x43:0x10000:2", *QUICK).err
+    assert "stored, node-ID 4" in run("lss", "store", "0x332:0x43:0x10000:2", "--yes", *QUICK).err
     outcome = run("lss", "set-id", "5", "20", "--yes", *QUICK)
     assert "  20  0x332:0x43:0x10000:0x3  yes      yes     yes" in outcome.out
 
@@ -138,15 +159,41 @@ def test_mistakes(run: Run, arguments: tuple[str, ...], code: str, text: str) ->
 
 def test_a_bit_rate_that_is_none(run: Run) -> None:
     assert "300k is not in CiA's table" in run("lss", "set-bitrate", "300k", *QUICK).err
-    outcome = run("lss", "set-bitrate", "250k", "--from", "500k", "-b", "socketcan:can7")
+    outcome = run("lss", "set-bitrate", "250k", "--present", "500k", "-b", "socketcan:can7")
     assert "ip link set can7 type can bitrate {bitrate}" in outcome.err
 
 
+def test_store_asks_first(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def opened(*arguments: object, **options: object) -> None:
+        raise AssertionError("the bus was opened")
+
+    monkeypatch.setattr(lss_set, "open_lss", opened)
+    outcome = run("lss", "store", "5", *QUICK)
+    assert (outcome.status, "This must be confirmed" in outcome.err) == (ExitCode.USAGE, True)
+    assert "the same with --yes" in outcome.err
+
+
+def test_store_and_set_bitrate_answer_json(run: Run) -> None:
+    stored = run("lss", "store", "5", "--yes", "--json", *QUICK)
+    assert stored.status == ExitCode.OK
+    assert (stored.json["node"], stored.json["stored"]) == (5, True)
+    assert run("lss", "store", "5", "--json", "--dry-run", *QUICK).json[-1]["service"] == "LSS"
+    words = ("lss", "set-bitrate", "250k", "--present", "500k", "--json", *QUICK)
+    dry = run(*words, "--dry-run").json
+    assert (dry["before"], dry["bitrate"], dry["dry_run"]) == (500_000, 250_000, True)
+    assert [each["stored"] for each in dry["devices"]] == [None] * 6
+    done = run(*words, "--yes", "--delay", "100ms").json
+    assert [each["stored"] for each in done["devices"]] == [True] * 6
+    assert not done["dry_run"]
+    passing = run(*words, "--yes", "--delay", "100ms", "--no-store").json
+    assert [each["stored"] for each in passing["devices"]] == [None] * 6
+
+
 def test_set_bitrate_shows_the_order_and_switches(run: Run) -> None:
-    dry = run("lss", "set-bitrate", "250k", "--from", "500k", "--dry-run", *QUICK)
+    dry = run("lss", "set-bitrate", "250k", "--present", "500k", "--dry-run", *QUICK)
     assert dry.err.count("250 kbit/s in place of 500") == 6
     assert "nothing was written" in dry.err
-    outcome = run("lss", "set-bitrate", "250k", "--from", "500k", "--yes", "--delay", "100ms", *QUICK)
+    outcome = run("lss", "set-bitrate", "250k", "--present", "500k", "--yes", "--delay", "100ms", *QUICK)
     assert "6 devices at 250 kbit/s" in outcome.err
 
 

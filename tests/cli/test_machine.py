@@ -141,6 +141,8 @@ def test_a_b_goes_before_the_environment(run: Run, tmp_path: Path, monkeypatch: 
     assert run("read", "5", "statusword", "-b", "demo").status == ExitCode.OK
     done = run("read", "wrist", "statusword", "-b", "demo")
     assert "CO120: 'wrist' is not a node-ID" in done.err
+    assert f"-b demo is no bus of {path}: CANOPEN_MACHINE does not count then" in done.err
+    assert f"-m {path} -b demo" in done.err
     assert run("read", "wrist", "statusword").status == ExitCode.NO_ANSWER
 
 
@@ -356,6 +358,20 @@ def test_a_machine_is_planned(run: Run, cell: str) -> None:
     assert [each["bitrate"] for each in run("plan", "-m", cell, "--json").json] == [1_000_000, 125_000]
     done = run("plan")
     assert (done.status, "which network?" in done.err) == (ExitCode.USAGE, True)
+
+
+def test_every_command_about_a_machine_takes_its_file_as_an_argument(
+    run: Run, cell: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for command in (("plan", "--bitrate", "500k"), ("node", "list"), ("machine", "check")):
+        outcome = run(*command, cell, "--json")
+        assert outcome.status == ExitCode.OK, outcome.err
+        assert run(*command, "-m", cell, "--json").json == outcome.json
+        monkeypatch.setenv("CANOPEN_MACHINE", cell)
+        assert run(*command, "--json").json == outcome.json
+        monkeypatch.delenv("CANOPEN_MACHINE")
+    assert "--chains arm.csv    (if it is a chain file)" in run("plan", "arm.csv").err
+    assert "one of the two" in run("plan", cell, "--chains", "arm.csv").err
 
 
 # ---- canopen machine ----

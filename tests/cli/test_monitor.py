@@ -81,40 +81,40 @@ FASTSCAN = "".join(
 
 def test_a_fastscan_is_one_line(run: Run) -> None:
     Path("scan.log").write_text(FASTSCAN + "(200.100000) can0 7E5#5E00000000000000\n")
-    outcome = run("monitor", "scan.log")
+    outcome = run("monitor", "--log", "scan.log")
     address = "vendor-ID 0x00000360, product code 0x00000002, revision 0x00010003, serial number 0x00C0FFEE"
     summary = f"= LSS: fastscan: {address} is selected (5 requests, 90 ms)"
     asked = "    0.100000 7E5#5E00000000000000      LSS            inquire node-ID?"
     assert outcome.out.splitlines() == [summary, asked]
     assert outcome.err == "11 frames in 0.1 s, 1 shown, no findings\n"
-    each = run("monitor", "scan.log", "-v").out.splitlines()
+    each = run("monitor", "--log", "scan.log", "-v").out.splitlines()
     assert (len(each), each[0].split()[1], each[9], each[11]) == (12, "7E5#5100000000800000", summary, asked)
     documents = [json.loads(line) for line in run("log", "decode", "scan.log", "--json").out.splitlines()]
     assert [document["summary"] for document in documents if "summary" in document] == [summary.removeprefix("= LSS: ")]
     assert len(documents) == 12
-    assert run("monitor", "scan.log", "--service", "sdo").out == ""
+    assert run("monitor", "--log", "scan.log", "--service", "sdo").out == ""
 
 
 def test_what_a_node_was_told_behind_its_boot_up_is_summed_up(run: Run) -> None:
     """The last SDO answer has no request: it is no value that was read."""
     line = "= boot-up of node 5: 4 values read, 0 written, 0 transfers aborted"
-    assert run("monitor", "a.log").out.splitlines()[-1] == line
+    assert run("monitor", "--log", "a.log").out.splitlines()[-1] == line
     assert line in run("log", "decode", "a.log", "--node", "5", "--service", "boot-up").out
     assert line not in run("log", "decode", "a.log", "--node", "6").out
     assert line not in run("log", "decode", "a.log", "--object", "1018").out
 
 
 def test_a_recording_is_shown_as_log_decode_does(run: Run) -> None:
-    monitored, decoded = run("monitor", "a.log"), run("log", "decode", "a.log")
+    monitored, decoded = run("monitor", "--log", "a.log"), run("log", "decode", "a.log")
     assert monitored.out == decoded.out
     assert (decoded.err, monitored.err) == ("", "15 frames in 1.0 s, 1 finding\n")
-    assert run("monitor", "a.log", "--json").out == run("log", "decode", "a.log", "--json").out
+    assert run("monitor", "--log", "a.log", "--json").out == run("log", "decode", "a.log", "--json").out
 
 
 def test_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = run("monitor", "a.log").out
+    said = run("monitor", "--log", "a.log").out
     monkeypatch.setattr("sys.stdin", typed(LOG.encode()))
-    assert run("monitor", "-").out == said
+    assert run("monitor", "--log", "-").out == said
 
 
 STATUSWORD = [100, 101, 400, 401, 500, 501, 900]
@@ -141,16 +141,25 @@ STATUSWORD = [100, 101, 400, 401, 500, 501, 900]
     ],
 )
 def test_only_what_was_asked_for(run: Run, options: tuple[str, ...], expected: list[int]) -> None:
-    outcome = run("monitor", "a.log", *options)
+    outcome = run("monitor", "--log", "a.log", *options)
     assert (outcome.status, times(outcome.out)) == (0, expected)
     assert f"15 frames in 1.0 s, {len(expected)} shown" in outcome.err
 
 
 def test_a_pdo_is_one_whatever_its_name(run: Run) -> None:
     Path("b.log").write_text("(1.0) can0 583#4300100092010200\n(1.0) can0 183#3702000064000000\n(2.0) can0 703#05\n")
-    assert "schunk_default_tPDO?" in run("monitor", "b.log", "--service", "pdo").out
-    assert times(run("monitor", "b.log", "--service", "tpdo").out) == [0]
-    assert times(run("monitor", "b.log", "--object", "position_actual_value").out) == [0]
+    assert "schunk_default_tPDO?" in run("monitor", "--log", "b.log", "--service", "pdo").out
+    assert times(run("monitor", "--log", "b.log", "--service", "tpdo").out) == [0]
+    assert times(run("monitor", "--log", "b.log", "--object", "position_actual_value").out) == [0]
+
+
+def test_the_changes_of_an_object_are_those_of_its_own_value(run: Run) -> None:
+    """A statusword travels with a position that changes in each frame."""
+    words = ("3702", "3702", "3706", "3706", "3702")
+    lines = [f"({number}.0) can0 183#{word}0000{number:02}000000" for number, word in enumerate(words, 1)]
+    Path("c.log").write_text("\n".join(["(0.5) can0 583#4300100092010200", *lines]) + "\n")
+    assert times(run("monitor", "--log", "c.log", "--object", "statusword", "--changes").out) == [500, 2500, 4500]
+    assert times(run("monitor", "--log", "c.log", "--object", "6064", "--changes").out) == [500, 1500, 2500, 3500, 4500]
 
 
 @pytest.mark.parametrize(
@@ -162,19 +171,19 @@ def test_a_pdo_is_one_whatever_its_name(run: Run) -> None:
     ],
 )
 def test_a_word_that_fits_nothing_is_no_filter(run: Run, options: tuple[str, ...], said: str) -> None:
-    outcome = run("monitor", "a.log", *options)
+    outcome = run("monitor", "--log", "a.log", *options)
     assert (outcome.status, outcome.out) == (2, "")
     assert said in outcome.err
 
 
 def test_a_name_is_that_of_each_nodes_own_file(run: Run) -> None:
     """The other nodes have a statusword, but the file of node 5, which alone shows 0x6041, knows none."""
-    outcome = run("monitor", "a.log", "-e", "5=sample_io.xdd", "--object", "statusword")
+    outcome = run("monitor", "--log", "a.log", "-e", "5=sample_io.xdd", "--object", "statusword")
     assert (outcome.status, outcome.out) == (0, "")
 
 
 def test_the_objects_of_a_frame_are_in_its_json(run: Run) -> None:
-    lines = [json.loads(line) for line in run("monitor", "a.log", "--json", "--node", "5").out.splitlines()]
+    lines = [json.loads(line) for line in run("monitor", "--log", "a.log", "--json", "--node", "5").out.splitlines()]
     assert lines[1]["objects"] == [{"node": 5, "index": 0x6041, "sub": 0, "name": "statusword", "value": None, "text": ""}]
     (read,) = lines[2]["objects"]
     assert (read["value"], read["text"][:11]) == (0x250, "592 (0x250,")
@@ -185,7 +194,7 @@ def test_what_is_wrong_with_a_node_is_shown_with_it(run: Run) -> None:
     """A heartbeat that is late is found at the frame of another node."""
     late = "(1.0) can0 605#2316100164000600\n(1.1) can0 585#6016100100000000\n(1.2) can0 706#05\n(9.0) can0 707#05\n"
     Path("b.log").write_text(late)
-    lines = run("monitor", "b.log", "--node", "6").out.splitlines()
+    lines = run("monitor", "--log", "b.log", "--node", "6").out.splitlines()
     assert [line.split()[0] for line in lines] == ["0.200000", "8.000000", "!"]
     assert lines[2].startswith("! late heartbeat (likely): node 6:")
 

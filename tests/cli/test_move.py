@@ -124,6 +124,26 @@ def test_what_is_beyond_a_limit_is_refused_before_it_moves(
     assert drive.drive.state is State.SWITCH_ON_DISABLED
 
 
+def test_a_path_on_which_the_arm_could_not_stop_is_refused_before_it_moves(
+    run: Run, simulations: list[SimulatedDevices], tmp_path: Path
+) -> None:
+    """It takes the whole acceleration, so a stop along it would need more: nobody goes to its start first."""
+    cell, path = tmp_path / "two.toml", tmp_path / "path.csv"
+    joint = "{ max_speed = 60, max_acceleration = 120, unit = 'degree' }"
+    cell.write_text(
+        "[buses.can0]\n[nodes]\na = { id = 3 }\nb = { id = 4 }\n"
+        f"[joints]\na = {joint}\nb = {joint}\n[chains.arm]\njoints = ['a', 'b']\n"
+    )
+    path.write_text("time,a,b\n0,0,0\n1.5,45,20\n3,0,0\n")
+    outcome = run("move", str(cell), str(path), "-b", "demo")
+    assert outcome.status == ExitCode.USAGE, outcome.err
+    assert "The path leaves nothing free for a stop along it. a needs the acceleration 120" in outcome.err
+    for drive in simulations[0].drives.values():
+        assert drive.drive.state is State.SWITCH_ON_DISABLED
+    path.write_text("time,a,b\n0,0,0\n2,45,20\n4,0,0\n")
+    assert run("move", str(cell), str(path), "-b", "demo", "--dry-run").status == 0
+
+
 def test_what_is_refused_when_the_drives_have_power_has_another_status(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     async def refuse(*_: object) -> None:
         raise PlanRefusedError("it cannot be planned", seen="nothing")
@@ -148,6 +168,7 @@ def test_a_path_of_few_decimals_moves_and_a_refusal_tells_what_rounding_has_to_d
     assert "write 5 decimals, or fewer rows" in run(*DEMO, str(given)).err
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("at", [0.5, 1.2, 1.9])
 def test_ctrl_c_brakes_on_the_path(
     run: Run, simulations: list[SimulatedDevices], alarm: Alarm, tmp_path: Path, at: float

@@ -17,6 +17,7 @@ import trio
 from canopen_cli.app import CLOSED_PIPE
 from canopen_cli.net import boot as net_boot
 from canopen_cli.net import support as net_support
+from canopen_cli.shared.frames_shown import frames_of
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen
 from canopen_data.configured import with_configured
@@ -28,7 +29,8 @@ from canopen_master.machine_file import BootSettings, read_machine
 from canopen_master.network_booting import network_boot
 from canopen_master.simulation.host import DeviceMaker
 from canopen_master.simulation.serving import SimulatedDevices, simulated_devices
-from canopen_proto.datatypes import Value
+from canopen_proto.datatypes import DataType, Value
+from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.manager.boot.network_boot import NetworkBoot
@@ -36,7 +38,9 @@ from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulation.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_transports.log_files import LogReader
+from canopen_transports.record import Record
 from tests.cli.cli_support import Alarm, Run, runner_in_folder
+from tests.cli.command_examples import fit_their_schema
 from tests.core.full_device import full_device
 
 DEMO = ("-b", "demo")
@@ -188,7 +192,7 @@ def test_a_mandatory_node_that_fails_is_not_started(run: Run) -> None:
     assert "0x1018:04 is 0x00000001, expected 0x00000063" in outcome.err
     assert "canopen net check -m cell.toml -b demo" in outcome.err
     assert sorted(sent().nmt) == ["0104", "0109", "8200"]
-    assert "   3  left   O       has another serial number" in outcome.out
+    assert "   3  left   has another serial number  O  " in outcome.out
 
 
 def test_nobody_is_started_by_all_if_a_mandatory_node_fails(run: Run) -> None:
@@ -290,7 +294,7 @@ def test_watch_boots_a_node_that_comes_back(run: Run, rung: Alarm) -> None:
     outcome = run("net", "watch", cell(), "--yes", *DEMO, *TRACE)
     assert outcome.status == ExitCode.OK
     lines = [line.strip().split("  ", 1)[1] for line in outcome.out.splitlines()]
-    assert sum(line.startswith("left: node 3: 0, booted") for line in lines) == 2
+    assert sum(line.startswith("left: node 3: booted") for line in lines) == 2
     assert sent().nmt.count("0103") == 2
     assert sent().nmt.count("0104") == 1
     assert "the nodes are left as they are, and nobody watches them now" in outcome.err
@@ -304,6 +308,7 @@ def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
     rung.task = silence
     rung.set((4, signal.SIGINT))
     outcome = run("net", "watch", cell(), "--yes", "--json", *DEMO)
+    fit_their_schema("net watch", outcome.out)
     assert '"event": "lost", "node": 4, "reaction": "it was reset"' in outcome.out
 
 
@@ -334,6 +339,7 @@ def test_watch_watches_the_heartbeats_that_nodes_send_of_their_own_and_names_the
     rung.set((1, signal.SIGINT))
     rung.task = None
     outcome = run("net", "watch", "cell.toml", "--yes", "--json", *DEMO)
+    fit_their_schema("net watch", outcome.out)
     assert '{"event": "unsupervised", "bus": "can0", "nodes": [9]}' in outcome.out
 
 
@@ -470,7 +476,7 @@ def a_file(name: str, device_type: int = 0x20192, **numbers: int) -> None:
 SUBS = {"vendor": 1, "product": 2, "revision": 3, "serial": 4}
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("vendor", [0, 0x332, 0x29C])
 @pytest.mark.parametrize("product", [0, 0x43, 0x44])
 @pytest.mark.parametrize("device_type", [0x20192, 0x191])
@@ -493,6 +499,13 @@ def test_a_file_of_another_device_type_is_named_with_the_words_of_info(run: Run)
     words = "ANOTHER DEVICE by device type 0x00020192 (file: 0x00000191)"
     assert words in told
     assert words in run("info", "3", "-e", "3=eds/its.dcf", *DEMO).out
+
+
+def test_files_without_an_identity_are_named_where_no_other_fits(run: Run) -> None:
+    a_file("bare.dcf", vendor=0, product=0, revision=0, serial=0)
+    a_file("other.dcf", 0x191)
+    outcome = run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "3", *DEMO)
+    assert "node 3: these have its device type, and no product code to go by: eds/bare.dcf. Try: -e 3=FILE" in outcome.err
 
 
 # ---- mistakes ----
@@ -524,6 +537,35 @@ def test_a_check_of_the_machine_file_reads_what_a_boot_needs(run: Run) -> None:
     outcome = run("machine", "check", "cell.toml")
     assert outcome.status == ExitCode.BAD_FILE
     assert "cell.toml: nodes.right.boot: cut.bin is no concise DCF" in outcome.err
+
+
+def test_a_frame_of_a_dry_run_is_understood_by_the_dictionary_of_its_bus() -> None:
+    """Both have a node 5, whose objects have other names on each."""
+    named = {
+        bus: ObjectDictionary([Object.of(name, [Variable(0x2000, 0, name, DataType.UNSIGNED8)])])
+        for bus, name in (("can0", "Filter time"), ("can1", "Smoothing"))
+    }
+    write = Frame(0x605, bytes.fromhex("2F00200007000000"))
+    records = [Record(0, bus, write, sent=True) for bus in named]
+    rows, _ = frames_of(records, lambda bus, node_id: named[bus] if node_id == 5 else None)
+    assert [(row.bus, row.text) for row in rows] == [
+        ("can0", "write 2000:00 Filter time = 7"),
+        ("can1", "write 2000:00 Smoothing = 7"),
+    ]
+
+
+def test_a_dry_run_on_two_buses_names_the_bus_of_each_frame(run: Run) -> None:
+    nodes = "a = { id = 5, bus = 'can0' }\nb = { id = 5, bus = 'can1' }\n"
+    defaults = "[defaults.nodes]\nboot = { heartbeat = '100ms' }\n"
+    Path("two.toml").write_text(f"[buses.can0]\n[buses.can1]\n{defaults}[nodes]\n{nodes}")
+    frames = run("net", "boot", "two.toml", "--dry-run", "--json", *DEMO).json
+    beats = [each["bus"] for each in frames if each["frame"].startswith("605#2B171000")]
+    assert sorted(beats) == ["can0", "can1"]
+    lines = run("net", "boot", "two.toml", "--dry-run", *DEMO).out.splitlines()
+    assert lines[0].split() == ["ms", "bus", "frame", "meaning"]
+    assert {line.split()[1] for line in lines[2:]} == {"can0", "can1"}
+    Path("one.toml").write_text(f"[buses.can0]\n{defaults}[nodes]\na = {{ id = 5 }}\n")
+    assert "bus" not in run("net", "boot", "one.toml", "--dry-run", *DEMO).out.splitlines()[0]
 
 
 def test_two_buses_are_booted_at_once(run: Run) -> None:

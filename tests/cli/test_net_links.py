@@ -9,6 +9,7 @@ import pytest
 
 from canopen_proto.dictionary.concise import from_concise
 from tests.cli.cli_support import Run
+from tests.cli.command_examples import json_that_fits
 from tests.master.test_machine_links import LINKS, NODES
 
 CELL = NODES + LINKS
@@ -37,7 +38,7 @@ def test_the_table(run: Run, cell: Path) -> None:
 
 
 def test_json(run: Run, cell: Path) -> None:
-    left, right = run("net", "links", "-m", str(cell), "--json").json
+    left, right = json_that_fits("net links", run("net", "links", "-m", str(cell), "--json"))
     assert (left["bus"], right["bus"]) == ("left", "right")
     (pdo,) = right["pdos"]
     assert pdo["from"]["node"] == "panel"

@@ -33,6 +33,7 @@ COMMANDS = {
     "to-dcf": ("eds", "to-dcf", "device.eds", "--id", "5", "-o", "OUT.dcf"),
     "describe": ("device", "describe", "device.py", "-o", "OUT.eds"),
     "to-cdcf": ("eds", "to-cdcf", "device.eds", "--id", "5", "-o", "OUT.bin"),
+    "to-dbc": ("eds", "to-dbc", "device.eds", "--id", "5", "-o", "OUT.dbc"),
     "doc": ("eds", "doc", "device.eds", "-o", "OUT.html"),
     "fix": ("eds", "fix", "device.eds", "-o", "OUT.eds"),
     "convert": ("log", "convert", "in.log", "OUT.trc"),
@@ -52,7 +53,7 @@ def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
     return lasting_device(monkeypatch)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_what_is_there_is_not_overwritten_without_asking(
     run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, name: str
@@ -90,6 +91,7 @@ def output_of(name: str) -> Path:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a pipe that holds a whole file is Linux's alone")
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_pipe_is_written_to(run: Run, world: Lasting, name: str) -> None:
     """Nobody is asked, and the pipe is a pipe afterwards."""
@@ -109,6 +111,7 @@ def test_a_pipe_is_written_to(run: Run, world: Lasting, name: str) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege")
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_link_leads_to_what_is_written(run: Run, world: Lasting, name: str) -> None:
     """What it leads to keeps its permissions. A file that is called like a part of it is somebody's own."""
@@ -254,8 +257,8 @@ def test_the_settings_of_one_node_go_to_another(run: Run, world: Lasting) -> Non
     change(run, world)
     moved = Path("before.dcf").read_text().replace("NodeID=5", "NodeID=9").replace("0x00000285", "0x00000289")
     Path("nine.dcf").write_text(moved)
-    assert "canopen restore 9 nine.dcf --to 5" in run("restore", "5", "nine.dcf", *DEMO, "--yes").err
-    outcome = run("restore", "9", "nine.dcf", "--to", "5", *DEMO, "--yes")
+    assert "canopen restore 9 nine.dcf --to-node 5" in run("restore", "5", "nine.dcf", *DEMO, "--yes").err
+    outcome = run("restore", "9", "nine.dcf", "--to-node", "5", *DEMO, "--yes")
     assert outcome.status == 0
     assert world.values[0x1801_01] == 0x285
     assert "node 5 (0x05)" in outcome.err

@@ -33,7 +33,7 @@ def commands_of(page: str) -> list[tuple[list[str], int]]:
     return found
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(12)
 @pytest.mark.parametrize("page", PAGES)
 def test_the_commands_of_a_page(
     page: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -60,6 +60,15 @@ def test_a_new_mapping_in_the_order_of_the_standard(run: Run, world: Lasting) ->
         (0x1801, 1), (0x1A01, 0), (0x1A01, 1), (0x1A01, 0), (0x1801, 2), (0x1801, 5), (0x1801, 1),
     ]  # fmt: skip
     assert all(state is NmtState.PRE_OPERATIONAL for *_, state in world.node.writes)
+    assert "each 100 ms at the latest" in run("pdo", "show", *NODE, "tpdo2", *EDS).out
+
+
+def test_by_the_file_of_another_device_nothing_is_mapped(run: Run) -> None:
+    words = ("pdo", "map", "3", "tpdo2", "statusword", "-b", "demo", "-e", "sample_io.eds", "--yes")
+    refused = run(*words)
+    assert refused.status == ExitCode.DIFFERENT, refused.err
+    assert "is not of the type that" in refused.err
+    assert "--any-device" in refused.err
 
 
 def test_a_pdo_is_switched_off_and_keeps_its_mapping(run: Run, world: Lasting) -> None:

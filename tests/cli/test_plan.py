@@ -42,7 +42,7 @@ def test_six_joints_fit_into_4_ms(run: Run) -> None:
     outcome = run("plan", "--chains", "multiple_devices.csv", "--cycle", "4ms", "--bitrate", "1M")
     assert outcome.status == 0, outcome.err
     lines = outcome.out.splitlines()
-    assert lines[0] == "/dev/pcan32: 6 joints, 1Mbit/s, cycle 4.00 ms"
+    assert lines[0] == "/dev/pcan32: 6 nodes, 1Mbit/s, cycle 4.00 ms"
     assert sum(line[1:].startswith("PDO arm1.joint") for line in lines) == 12
     assert any(line.startswith("heartbeat, worst of 6") for line in lines)
     assert any(line.startswith("verdict           fits: ") for line in lines)
@@ -162,6 +162,29 @@ def test_joints_of_a_machine_have_the_pdos_that_their_chain_plans(run: Run, tmp_
         assert [each["bytes"] for each in streams if each["kind"] == "RPDO"] == [6]
         assert sorted(each["bytes"] for each in streams if each["kind"] == "TPDO") == sizes
         assert ("arm.j12: TPDO 1, TPDO 3, TPDO 4 would be switched off" in done.err) is (cycle == "4ms")
+
+
+def test_a_frame_that_comes_too_often_is_no_reason_for_another_cycle(run: Run, tmp_path: Path) -> None:
+    eds = eds_of(tmp_path / "drive.eds", {0x1800: (0x180, 255, 2, 0)})
+    cell = tmp_path / "cell.toml"
+    cell.write_text(f'[buses.can0]\n[nodes.lamp]\nid = 3\nfile = "{eds.name}"\n', encoding="utf-8")
+    outcome = run("plan", "-m", str(cell), "--bitrate", "125k", "--cycle", "10ms")
+    assert outcome.status == 1
+    assert "none fits: a longer inhibit time for TPDO lamp (event), or a faster bus" in outcome.out
+
+
+def test_a_pdo_is_as_the_configuration_of_its_node_sets_it(run: Run, tmp_path: Path) -> None:
+    """What a boot writes counts, not what the file of the device says: here the inhibit time, in 100 us."""
+    eds = eds_of(tmp_path / "lamp.eds", {0x1800: (0x180, 255, 2, 0)})
+    cell, dcf = tmp_path / "cell.toml", tmp_path / "lamp.dcf"
+    assert run("eds", "to-dcf", str(eds), "--id", "3", "--set", "1800:03=100", "-o", str(dcf)).status == 0
+    cell.write_text(
+        f'[buses.can0]\n[nodes.lamp]\nid = 3\nfile = "{eds.name}"\nboot = {{ configuration = "{dcf.name}" }}\n', encoding="utf-8"
+    )
+    outcome = run("plan", "-m", str(cell), "--bitrate", "125k", "--cycle", "10ms", "--json")
+    assert outcome.status == 0, outcome.err
+    (lamp,) = [each for each in outcome.json[0]["streams"] if each["kind"] == "event"]
+    assert lamp["period_ms"] == 10
 
 
 def test_the_devices_own_file_says_which_pdos(run: Run, chains: str, tmp_path: Path) -> None:

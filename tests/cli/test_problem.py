@@ -20,7 +20,7 @@ from canopen_cli import entry
 from canopen_cli.app import main
 from canopen_cli.shared.failures import in_words_of_files, problem_of
 from canopen_cli.shared.problem import CommandError, ExitCode
-from canopen_cli.shared.running import notes_of
+from canopen_cli.shared.running import all_stand, first_error, notes_of
 from canopen_cli.shared.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
@@ -31,6 +31,8 @@ from canopen_gateway.errors import (
     FleetError,
     GatewayFullError,
     GatewayRefusedError,
+    HistoryError,
+    HistoryQueryError,
     LeaseError,
     NoGatewayError,
     NotAllowedError,
@@ -88,6 +90,8 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (FleetError("nobody answers"), ExitCode.CANNOT_OPEN, "CO160"),
         (BridgeRefusedError("refused", abort_code=AbortCode.READ_ONLY), ExitCode.SDO_ABORT, "CO161"),
         (BridgeRefusedError("silent", abort_code=AbortCode.TIMED_OUT), ExitCode.NO_ANSWER, "CO161"),
+        (HistoryError("half a file"), ExitCode.BAD_FILE, "CO163"),
+        (HistoryQueryError("no SELECT"), ExitCode.USAGE, "CO164"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
         (errors.UnknownChainError("CO322", "no chain"), ExitCode.USAGE, "CO322"),
         (errors.PlanRefusedError("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),
@@ -151,6 +155,22 @@ def test_a_chain_error_has_the_status_of_its_cause() -> None:
     error.__cause__ = UnexpectedLengthError("node 5: 0x1A00:00 came with 3 bytes, not 1")
     problem = problem_of(error)
     assert (problem.exit_code, problem.code) == (ExitCode.SDO_ABORT, "CO204")
+
+
+def test_the_first_error_of_a_group_keeps_its_cause() -> None:
+    error = errors.ChainError(errors.PROCEDURE_FAILED, "arm", "the chain failed")
+    error.__cause__ = errors.HaltNotConfirmedError(errors.HALT_NOT_CONFIRMED, "the joint may still move")
+
+    async def fail() -> None:
+        async with first_error(), trio.open_nursery() as nursery:
+            nursery.start_soon(trio.sleep_forever)
+            raise error
+
+    with pytest.raises(errors.ChainError) as raised:
+        trio.run(fail)
+    assert raised.value is error
+    assert isinstance(error.__cause__, errors.HaltNotConfirmedError)
+    assert not all_stand(error)  # else the user would read that the drives were halted
 
 
 def test_notes_are_told_too() -> None:
@@ -259,7 +279,7 @@ def test_the_choices_of_a_missing_argument_stand_in_one_line(capsys: pytest.Capt
     assert "Choose from: start, stop, preop, reset, reset-comm" in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell")
 @pytest.mark.parametrize(("redirection", "status"), [(">&-", 0), (">&- 2>&-", 0), (">/dev/full", ExitCode.BAD_FILE)])
 def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int) -> None:

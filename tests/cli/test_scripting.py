@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from canopen_cli.scripting import shell as shell_module
 from canopen_cli.scripting.namespace import names_for
 from canopen_cli.scripting.shell import Prompt, TerminalLines
+from canopen_cli.scripting.text_plot import statement_of
 from canopen_cli.scripting.words import words_for
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import ExitCode
@@ -47,8 +48,8 @@ def script(text: str) -> str:
 
 
 def test_a_script_finds_an_open_bus(run: Run) -> None:
-    text = "print(args, bus)\nvalue = await node.read_int('statusword')\nprint(value == await nodes[3].read_int('6041'))\n"
-    outcome = run("run", script(text), "one", "two", "--node", "3", *DEMO)
+    text = "print(args, bus)\nvalue = await nodes['3'].read_int('statusword')\nprint(value == await nodes[3].read_int('6041'))\n"
+    outcome = run("run", script(text), "one", "two", *DEMO)
     assert outcome.status == ExitCode.OK, outcome.err
     assert outcome.out == "['one', 'two'] virtual:demo\nTrue\n"
 
@@ -64,6 +65,7 @@ def test_its_main_is_called_with_the_master_and_the_arguments(run: Run) -> None:
         ("pass\n1 / 0\n", "script.py:2: ZeroDivisionError: division by zero", "CO157"),
         ("def f():\n    return nothing\nf()\n", "script.py:2: NameError", "CO157"),
         ("if\n", "script.py:1: SyntaxError", "CO157"),
+        ("read 3 statusword\n", "print(await nodes[5].read('statusword'))", "CO157"),
         ("await nodes[3].read('no_such_object')\n", "at script.py:1", "CO302"),
         ("await nodes[3].read(0x5000)\n", "at script.py:1", "CO302"),
     ],
@@ -81,17 +83,17 @@ def test_a_script_that_is_not_there(run: Run) -> None:
 
 
 def test_ctrl_c_halts_what_a_script_moves(run: Run, alarm: Alarm, simulations: list[SimulatedDevices]) -> None:
-    text = "import trio\nfor word in (6, 7, 15):\n    await node.write('controlword', word)\nawait trio.sleep_forever()\n"
+    text = "import trio\nfor word in (6, 7, 15):\n    await nodes[3].write('controlword', word)\nawait trio.sleep_forever()\n"
     alarm.set((1.0, signal.SIGINT))
-    outcome = run("run", script(text), "--node", "3", *DEMO)
+    outcome = run("run", script(text), *DEMO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "interrupted" in outcome.err
     assert stands(simulations[0].drives[3])
 
 
 def test_a_dry_run_of_a_script_sends_nothing_but_what_reads(run: Run, simulations: list[SimulatedDevices]) -> None:
-    text = "await node.write('6081', 123)\nprint(await node.read_int('6081'))\n"
-    outcome = run("run", script(text), "--node", "3", "--dry-run", *DEMO)
+    text = "await nodes[3].write('6081', 123)\nprint(await nodes[3].read_int('6081'))\n"
+    outcome = run("run", script(text), "--dry-run", *DEMO)
     assert "123" in outcome.out
     assert "profile_velocity = 123" in outcome.out
     assert simulations[0].drives[3].values[PROFILE_VELOCITY] != 123
@@ -177,6 +179,37 @@ def test_whatever_lines_are_typed_the_prompt_ends_with_its_input(lines: list[str
     served(Typed(*safe), {"__builtins__": {}})
 
 
+@pytest.mark.parametrize(
+    ("line", "statement"),
+    [
+        ("plot 5:velocity_actual_value", "await plot('5:velocity_actual_value')"),
+        ("plot statusword 5:6064 10s", "await plot('statusword', '5:6064', seconds=10.0)"),
+        ("plot statusword for 500ms", "await plot('statusword', seconds=0.5)"),
+        ("plot is None", "plot is None"),
+        ("plot = 5", "plot = 5"),
+        ("plot", "plot"),
+        ("plot + 5", "plot + 5"),
+        ("await plot('x')", "await plot('x')"),
+        ("  plot x", "  plot x"),
+    ],
+)
+def test_a_line_that_plots_is_a_call(line: str, statement: str) -> None:
+    assert statement_of(line) == statement
+
+
+def test_a_plot_draws_what_was_read(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def typed() -> str:
+        return "await node.write('6081', 7)\nplot 6081 4:statusword 1s\nplot 1008 1s\n"
+
+    monkeypatch.setattr(shell_module, "_input", typed)
+    outcome = run("shell", "3", "-b", "demo")
+    assert "node 3 (0x03): profile_velocity = 7" in outcome.out
+    assert "node 4 (0x04): statusword = 576" in outcome.out
+    assert any(0x2801 <= ord(each) <= 0x28FF for each in outcome.out)
+    assert outcome.status == ExitCode.USAGE  # a name is no number
+    assert "is no number" in outcome.err
+
+
 def test_what_is_completed() -> None:
     async def look() -> None:
         async with open_session(settings, settings.screen()) as session:
@@ -192,6 +225,8 @@ def test_what_is_completed() -> None:
             assert "statusword" in words("await node.read('statusw")
             assert "statusword" in words('await nodes[3].read("statusw')
             assert "sm_shutdown" in words("await node.write('controlword', 'sm_sh")
+            assert "velocity_actual_value" in words("plot velocity")
+            assert "4:velocity_actual_value" in words("plot statusword 4:velocity")
             assert words("1 + ") == words("node.read('no_such_") == words("nothing.x") == words("nodes['") == []
 
     settings = Settings(bus="demo")
@@ -231,6 +266,7 @@ def test_random_keys_never_end_a_prompt_with_a_traceback(keys: list[str]) -> Non
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no pty")
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("end", ["Ctrl-D", signal.SIGTERM])
 def test_the_terminal_is_given_back(tmp_path: Path, end: str | signal.Signals) -> None:
     """A real terminal: its settings are the same as before, whatever was typed, and however the prompt ended."""

@@ -127,9 +127,9 @@ def test_a_file_becomes_a_device(run: Run) -> None:
     assert outcome.status == 0
     assert outcome.err.splitlines() == [
         "node 5 (0x05)  io.eds: plain memory; objects: 8, TPDOs: 0, RPDOs: 0",
+        "node 5 (0x05)  NMT pre-operational",
         "1 simulated device on virtual:files, for 0.1 s",
         "That bus ends with this process: with -b udp_multicast another terminal can join.",
-        "node 5 (0x05)  NMT pre-operational",
     ]
 
 
@@ -390,3 +390,9 @@ def test_its_address_for_programs(run: Run) -> None:
         "bus": "virtual:x",
         "nodes": [3, 5],
     }
+
+
+def test_it_says_that_it_simulates_once_the_bus_is_open(run: Run) -> None:
+    outcome = run("sim", "-b", "tcp:127.0.0.1:9")
+    assert outcome.status == ExitCode.CANNOT_OPEN
+    assert outcome.err.startswith("error CO101")

@@ -11,6 +11,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.nmt import NmtState
 from tests.cli.backup_world import NODE, Lasting, answering, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder
+from tests.cli.command_examples import json_that_fits
 
 STORE, RESTORE = 0x1010, 0x1011
 
@@ -34,7 +35,7 @@ def test_a_device_stores_its_parameters(run: Run, world: Lasting) -> None:
 
 def test_a_group_by_its_name_and_by_its_number(run: Run, world: Lasting) -> None:
     outcome = run("store", *NODE, "--group", "communication", "--yes", "--json")
-    assert outcome.json == {"node": 5, "index": STORE, "subindex": 2, "stored": True}
+    assert json_that_fits("store", outcome) == {"node": 5, "index": STORE, "subindex": 2, "stored": True}
     assert world.writes == [(STORE, 2)]
     for wrong in ("3x", "0", "128", "nothing", "²"):
         assert run("store", *NODE, "--group", wrong, "--yes").status == ExitCode.USAGE
@@ -62,6 +63,8 @@ def test_a_device_that_does_not_act_on_it_is_not_written(run: Run, world: Lastin
 
 
 def test_the_defaults_count_from_the_next_reset_on(run: Run, world: Lasting) -> None:
+    outcome = run("reset-defaults", *NODE, "--yes", "--json")
+    assert json_that_fits("reset-defaults", outcome)["reset"] is False
     outcome = run("reset-defaults", *NODE, "--yes")
     assert outcome.status == ExitCode.OK
     assert "canopen nmt reset 5" in outcome.err

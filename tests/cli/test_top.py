@@ -170,6 +170,19 @@ def test_a_long_name_leaves_room() -> None:
     assert found[0].endswith("kbit/s")
 
 
+@pytest.mark.parametrize("width", [46, 60, 80])
+def test_a_narrow_table_leaves_columns_out_and_no_words_cut(width: int) -> None:
+    view, last = recorded()
+    found = drawn(shown(view, last, sort="load"), width=width)
+    head = next(line for line in found if line.startswith("node"))
+    assert {"state", "heard", "errors"} <= {*head.split()}
+    assert "%" in head or "bit/s" in head  # by which it is sorted
+    assert ("heartbeat" in head) is (width == 80)
+    table = [line for line in found if line.startswith("node") or " (0x" in line]
+    assert len(table) >= 2
+    assert not any("…" in line for line in table)
+
+
 # ---- the command ----
 
 
@@ -182,7 +195,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_a_file_is_one_table_for_each_bus(run: Run) -> None:
-    outcome = run("top", "t.log", "--bitrate", "125k")
+    outcome = run("top", "--log", "t.log", "--bitrate", "125k")
     assert outcome.status == 0
     assert [line.split()[0] for line in outcome.out.splitlines() if " (0x" in line] == ["5", "6"]
     assert "t.log can0" in outcome.out
@@ -190,7 +203,7 @@ def test_a_file_is_one_table_for_each_bus(run: Run) -> None:
 
 
 def test_json(run: Run) -> None:
-    first, second = run("top", "t.log", "--json").json
+    first, second = run("top", "--log", "t.log", "--json").json
     assert (first["bus"], second["bus"]) == ("can0", "can1")
     (node,) = first["nodes"]
     assert (node["node"], node["state"], node["is_silent"], node["errors"]) == (5, "operational", False, [0x8130])
@@ -253,7 +266,7 @@ def test_a_bus_that_is_well_again_is_not_accused(run: Run, monkeypatch: pytest.M
 
 def test_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BufferedReader(io.BytesIO(LOG.encode()))))
-    outcome = run("top", "-")
+    outcome = run("top", "--log", "-")
     assert outcome.status == 0
     assert "5 (0x05)" in outcome.out
 
@@ -275,27 +288,27 @@ def test_the_machine_file_tells_the_bit_rate(run: Run) -> None:
 
 def test_two_recordings_in_one_file(run: Run) -> None:
     Path("two.log").write_text("(1000.0) can0 705#05\n(10.0) can0 706#05\n(14.0) can0 706#05\n")
-    outcome = run("top", "two.log")
+    outcome = run("top", "--log", "two.log")
     assert "5 (0x05) SILENT" in outcome.out, "what was heard 4 s before does not look present"
     assert "the clock of the frames went back 1 time" in outcome.out
 
 
 def test_a_file_with_a_name_for_each_frame_takes_no_more_memory(run: Run) -> None:
     Path("many.log").write_text("".join(f"({number}.0) bus{number} 705#05\n" for number in range(1, 40)))
-    outcome = run("top", "many.log")
+    outcome = run("top", "--log", "many.log")
     assert outcome.out.count("5 (0x05)") == 16
     assert "only the first 16 buses are shown" in outcome.out
 
 
 def test_nothing_came(run: Run) -> None:
     Path("empty.log").write_text("")
-    assert run("top", "empty.log").status == 6
+    assert run("top", "--log", "empty.log").status == 6
     Path("fd.log").write_text("(1.0) can0 123##1AA\n")
-    assert "seen:  1 entry passed over, the last: a CAN FD frame" in run("top", "fd.log").err
+    assert "seen:  1 entry passed over, the last: a CAN FD frame" in run("top", "--log", "fd.log").err
     outcome = run("top", "-b", "virtual:nobody")
     assert (outcome.status, "no frame came on virtual:nobody" in outcome.err) == (5, True)
     assert "no frame came on demo" in run("top", "-b", "demo", "--seconds", "0").err
-    assert run("top", "t.log", "--bitrate", "5").status == 2
+    assert run("top", "--log", "t.log", "--bitrate", "5").status == 2
     assert run("top").status == 2
 
 

@@ -190,6 +190,22 @@ def test_a_node_that_does_not_answer(run: Run) -> None:
     assert sum(asked("t.log", 99).values()) <= 5, "it is asked seldom"
 
 
+def test_a_node_that_stops_answering_is_no_success(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    alarm = Alarm()
+
+    async def events(simulation: SimulatedDevices) -> None:
+        async with await open_transport(DEMO_LOCATOR) as transport:
+            await trio.sleep(1.5)
+            await transport.send(Frame(0, bytes((NmtCommand.STOP, 3))))
+
+    alarm.task = events
+    watched_simulations(monkeypatch, alarm)
+    outcome = run("watch", "3", "6041", "6064", "--every", "500ms", "--for", "5s", *DEMO, "--csv", "values.csv")
+    assert outcome.status == 5
+    assert "node 3 has stopped answering: there are no new values of 6041:00, 6064:00" in outcome.err
+    assert len(Path("values.csv").read_text().splitlines()) > 4, "what came before is there"
+
+
 def test_an_object_that_the_node_does_not_have(run: Run) -> None:
     outcome = run("watch", "3", "5FFF", "6064", "--type", "u16", "--seconds", "4", *DEMO, "--trace", "t.log")
     assert outcome.status == 0
@@ -212,37 +228,37 @@ def log(run: Run) -> Path:
 
 
 def test_a_recording(run: Run, log: Path) -> None:
-    outcome = run("watch", "5", "6064", "--from", str(log))
+    outcome = run("watch", "5", "6064", "--log", str(log))
     assert outcome.status == 0
     assert [line.split()[-2] for line in outcome.out.splitlines()] == ["1", "5", "3"]
     assert "there are frames of other buses, too; these are of can0; or --channel can1" in outcome.err
-    outcome = run("watch", "5", "6064", "--from", str(log), "--channel", "can1", "-q")
+    outcome = run("watch", "5", "6064", "--log", str(log), "--channel", "can1", "-q")
     assert (len(outcome.out.splitlines()), outcome.err) == (3, "")
-    outcome = run("watch", "6", "6064", "--from", str(log), "--channel", "can1")
+    outcome = run("watch", "6", "6064", "--log", str(log), "--channel", "can1")
     assert (outcome.status, "nothing was heard of it" in outcome.err) == (5, True)
-    assert run("watch", "5", "6064", "--from", "none.log").status == 6
+    assert run("watch", "5", "6064", "--log", "none.log").status == 6
 
 
 def test_values_go_into_a_csv(run: Run, log: Path) -> None:
     Path("units.toml").write_text('[objects.6064]\nunit = "deg"\nfactor = 0.001\n')
-    options = ("--from", str(log), "--csv", "run.csv", "--overlay", "units.toml")
+    options = ("--log", str(log), "--csv", "run.csv", "--overlay", "units.toml")
     assert run("watch", "5", "6064", *options).status == 0
     rows = list(csv.reader(Path("run.csv").read_text().splitlines()))
     assert rows[0] == ["time", "node", "object", "name", "value", "physical", "unit", "source"]
     assert rows[1] == ["10.000000000", "5", "6064:00", "position_actual_value", "1", "0.001", "deg", "schunk_default_tPDO?"]
     assert [row[4] for row in rows[1:]] == ["1", "5", "3"]
     assert run("watch", "5", "6064", *options).status == 2  # it is there already
-    assert run("watch", "5", "6064", "--from", str(log), "--csv", "no/run.csv").status == 6
+    assert run("watch", "5", "6064", "--log", str(log), "--csv", "no/run.csv").status == 6
 
 
 def test_a_recording_that_is_damaged_further_on(run: Run) -> None:
     Path("odd.log").write_text(LOG + "no record\n")
-    outcome = run("watch", "5", "6064", "--from", "odd.log")
+    outcome = run("watch", "5", "6064", "--log", "odd.log")
     assert (outcome.status, len(outcome.out.splitlines())) == (6, 3)
-    outcome = run("top", "odd.log")
+    outcome = run("top", "--log", "odd.log")
     assert (outcome.status, outcome.out.count("5 (0x05)")) == (6, 2), "what could be read is shown"
     Path("odd.log").write_text(LOG + "(10.5) can0 185##0\n")  # CAN FD
-    outcome = run("watch", "5", "6064", "--from", "odd.log")
+    outcome = run("watch", "5", "6064", "--log", "odd.log")
     assert outcome.status == 0
     assert "1 entry passed over, the last: " in outcome.err
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from canopen_cli import app
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.withholding import Withholding
+from canopen_master.simulation import serving
 from canopen_proto.frame import ERROR_CONTROL, NMT, SDO_CLIENT_TO_SERVER, SYNC, TIME, Frame
 from canopen_proto.lss.messages import FROM_MASTER
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -19,6 +20,7 @@ from canopen_transports.log_files import LogReader
 from tests.cli.backup_world import EDS, NODE, Lasting, change, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder
 from tests.cli.test_clean import paths
+from tests.cli.test_net import CELL
 from tests.examples import examples
 
 TRACE = ("--trace", "bus.log", "--force")
@@ -101,10 +103,10 @@ def test_what_is_shown_is_what_would_be_sent_and_nothing_is_sent(run: Run, world
 
 OTHERS: list[tuple[str, ...]] = [
     ("flash", "5", "text.bin", "--expect", "7"),
-    ("run", "script.py", "--node", "3"),
+    ("run", "script.py"),
     ("lss", "set-id", "5", "12"),
     ("lss", "store", "5"),
-    ("lss", "set-bitrate", "250k", "--from", "500k", "--interface-command", "true"),
+    ("lss", "set-bitrate", "250k", "--present", "500k", "--interface-command", "true"),
     ("home", "3"),
     ("move", "--to", "1,0,0,0,0,0"),
     *[("drive", "3", *words) for words in (
@@ -119,15 +121,72 @@ OTHERS: list[tuple[str, ...]] = [
 @pytest.mark.parametrize("way", OTHERS, ids=name)
 def test_no_frame_leaves_but_what_reads(run: Run, way: tuple[str, ...]) -> None:
     Path("text.bin").write_bytes(b"no program")
-    Path("script.py").write_text("await node.read('6081')\nawait node.write('6081', 5)\nawait master.send_sync()\n")
+    Path("script.py").write_text("await nodes[3].read('6081')\nawait nodes[3].write('6081', 5)\nawait master.send_sync()\n")
     outcome = run(*way, *DRIVE)
     assert outcome.status != ExitCode.INTERNAL, outcome.err
     assert [str(frame) for frame in sent() if not reads(frame)] == []
     assert sent()
 
 
+REFUSED: list[tuple[str, ...]] = [
+    ("jog",),
+    ("drive", "commission", "3"),
+    ("check", "3"),
+    ("net", "watch", "cell.toml"),
+]
+"""Commands for which a dry run has no meaning."""
+
+
+@pytest.mark.parametrize("way", REFUSED, ids=name)
+def test_where_a_dry_run_has_no_meaning_it_is_refused_with_words(run: Run, way: tuple[str, ...]) -> None:
+    outcome = run(*way, *DRIVE)
+    assert outcome.status == ExitCode.USAGE
+    assert f"{way[0]}" in outcome.err
+    assert "has no --dry-run" in outcome.err
+    assert "nothing was sent" in outcome.err
+    assert not Path("bus.log").exists()
+    assert "Refused here:" in run(*way[:2] if way[0] in ("drive", "net") else way[:1], "--help").out
+
+
+def test_assign_shows_what_each_device_would_be_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "DEMO_NODES", (255, 255))
+    words = ("lss", "assign", "--ids", "10-20", "--vendor", "0x332", "--product", "0x43", "--window", "10ms", "-b", "demo")
+    dry = run(*words, *TRACE, "--dry-run")
+    assert dry.status == ExitCode.OK, dry.err
+    assert [str(frame) for frame in sent() if not reads(frame)] == []
+    assert "7E5#110A" in dry.out
+    assert "7E5#110B" in dry.out
+    done = run(*words, *TRACE, "--yes", "--json")
+    assert [each["node"] for each in done.json] == [10, 11]
+    changes = [str(frame) for frame in sent() if not reads(frame)]
+    assert [each for each in changes[: len(changes) // 2] if each.split("#")[0] == "7E5" and each not in dry.out] == []
+
+
+def test_a_network_is_booted_without_a_write(run: Run) -> None:
+    Path("cell.toml").write_text(CELL)
+    words = ("net", "boot", "cell.toml", "-b", "demo", *TRACE)
+    dry = run(*words, "--dry-run", "--json")
+    assert dry.status == ExitCode.OK, dry.err
+    assert [str(frame) for frame in sent() if not reads(frame)] == []
+    shown = [each["frame"] for each in dry.json]
+    assert run(*words, "--yes").status == ExitCode.OK
+    done = [str(frame) for frame in sent() if not reads(frame)]
+    assert {each for each in done if each[:3] not in ("080", "77F")} <= set(shown)
+    assert any(each.startswith("000#82") for each in shown)
+
+
+def test_a_replay_is_shown_in_words_and_opens_no_bus(run: Run) -> None:
+    assert run("write", "3", "6081", "20000", "-b", "demo", *TRACE).status == ExitCode.OK
+    outcome = run("log", "replay", "bus.log", "-b", "socketcan:nowhere", "--only-sent", "--dry-run")
+    assert outcome.status == ExitCode.OK, outcome.err
+    assert "write 6081:00 profile_velocity = 20000" in outcome.out
+    assert "583" not in outcome.out
+    assert "nothing was sent" in outcome.err
+
+
 def test_every_command_with_a_dry_run_is_among_these() -> None:
-    of_files = {("eds", "fix")}
+    of_files = {("eds", "fix"), ("log", "replay"), ("lss", "assign"), ("net", "boot")} | {way[:2] for way in REFUSED}
+    of_files |= {way[:1] for way in REFUSED}
     covered = {way[:length] for way in (*WAYS, *OTHERS) for length in (1, 2)} | {way[::2][:2] for way in OTHERS} | of_files
     assert {path for path in paths(app.cli) if has_dry_run(path)} - covered == set()
 

@@ -11,6 +11,7 @@ from canopen_proto.sdo.block import SUB_BLOCK_SIZE
 from canopen_proto.sdo.client import SdoChunk, SdoClient, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.server import ObjectAccessPending, SdoServer
 from tests.core.bus import Bus
+from tests.core.machines import held_data
 
 INDEX: Final = 0x2000
 BY_HOST: Final = 0x2001
@@ -77,7 +78,7 @@ class BlockPair:
         now = self.bus.now
         bound = max(self.client.max_upload, self.server.max_download) + SUB_BLOCK_SIZE + 7
         for transfer in (self.client._transfer, self.server._transfer):
-            assert transfer is None or len(getattr(transfer, "_buffer", b"")) <= bound
+            assert held_data(transfer) <= bound
         if isinstance(report, Outcome):
             self.outcomes.append(report)
         elif isinstance(report, ObjectAccessPending):

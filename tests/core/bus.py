@@ -321,7 +321,9 @@ class Wire(Bus):
         heads = [(queue[0][1].key, sender) for sender, queue in self._queues.items() if queue and queue[0][0] <= self.now]
         if not heads:
             return
-        sender = min(heads)[1]
+        lowest = min(key for key, _ in heads)
+        first = [sender for key, sender in heads if key == lowest]
+        sender = first[0] if len(first) == 1 else self._random.choice(first)  # by id, a case would not come again
         frame = self._queues[sender].pop(0)[1]
         self.wired.append((self.now, frame, sender))
         self._free_at = self.now + self._frame_time

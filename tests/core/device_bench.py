@@ -15,25 +15,13 @@ from tests.core.devices import io_device
 E = TypeVar("E", bound=Event)
 
 
-class DeviceBench:
-    """One LocalNode of node-ID 5 in a Network of its own, booted unless told otherwise."""
+class Bench:
+    """A Network in virtual time. events: those that nobody has looked at yet."""
 
-    def __init__(
-        self,
-        dictionary: ObjectDictionary | None = None,
-        *,
-        boot: bool = True,
-        make: Callable[[Outbox, int, ObjectDictionary], LocalNode] = LocalNode,
-    ) -> None:
-        self.now: Time = 0
+    def __init__(self, now: Time) -> None:
+        self.now = now
         self.events: list[Event] = []
         self.network = Network()
-        self.node = make(self.network.out, 5, io_device() if dictionary is None else dictionary)
-        self.network.attach(self.node)
-        if boot:
-            self.node.boot(self.now)
-            self.take()
-            self.events.clear()
 
     def take(self) -> list[str]:
         """What it sent since the last time."""
@@ -46,6 +34,25 @@ class DeviceBench:
         for frame in frames:
             self.network.receive(Frame.parse(frame), self.now)
         return self.take()
+
+
+class DeviceBench(Bench):
+    """One LocalNode of node-ID 5 in a Network of its own, booted unless told otherwise."""
+
+    def __init__(
+        self,
+        dictionary: ObjectDictionary | None = None,
+        *,
+        boot: bool = True,
+        make: Callable[[Outbox, int, ObjectDictionary], LocalNode] = LocalNode,
+    ) -> None:
+        super().__init__(0)
+        self.node = make(self.network.out, 5, io_device() if dictionary is None else dictionary)
+        self.network.attach(self.node)
+        if boot:
+            self.node.boot(self.now)
+            self.take()
+            self.events.clear()
 
     def wait(self, milliseconds: float) -> list[str]:
         """Let time pass; what it sends, each with the millisecond at which it was sent: "20 705#7F"."""

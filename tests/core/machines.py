@@ -136,3 +136,9 @@ class Box(Group):
     @property
     def wakes_held(self) -> int:
         return len(self._members.heap)
+
+
+def held_data(transfer: object) -> int:
+    """Return how many bytes of data an SDO transfer, or None, holds of those that it received."""
+    frames = sum(len(getattr(transfer, name, b"")) for name in ("_frames", "_sub_block"))
+    return len(getattr(transfer, "_buffer", b"")) + frames // 8 * 7

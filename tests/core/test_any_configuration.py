@@ -162,7 +162,7 @@ class Anything:
             assert variable.decode(data) == self.node.values[variable.mux]
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_anything_is_done_to_a_device(seed: int) -> None:
     anything = Anything(seed)
@@ -174,7 +174,7 @@ def test_anything_is_done_to_a_device(seed: int) -> None:
     anything.check_readable()
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("seed", range(12, 20))
 def test_after_a_reset_a_device_is_as_at_power_on(seed: int) -> None:
     """Twice: once with the defaults, once with what was stored meanwhile."""

@@ -148,7 +148,7 @@ def some_drive_frame(source: random.Random) -> Frame:
     return Frame(0x080) if kind < 19 else some_frame(source)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_nothing_raises_in_a_drive(seed: int) -> None:
     source = random.Random(seed)
@@ -177,7 +177,7 @@ def test_a_mode_that_is_chosen_while_the_drive_is_on_its_way_down() -> None:
     assert subject.node.drive.state is State.SWITCHED_ON
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", [LocalSubject, DriveSubject, RemoteSubject])
 def test_memory_is_bounded_after_many_frames(kind: type[AnySubject], seed: int) -> None:
@@ -195,6 +195,7 @@ def test_memory_is_bounded_after_many_frames(kind: type[AnySubject], seed: int) 
     subject.check()
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("kind", [LocalSubject, DriveSubject, RemoteSubject])
 def test_memory_is_bounded_though_nobody_takes_what_is_reported(kind: type[AnySubject]) -> None:
     subject = kind()

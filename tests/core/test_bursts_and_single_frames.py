@@ -18,16 +18,18 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.cia402 import objects
+from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.heartbeat import HeartbeatReceived, OwnHeartbeat
-from canopen_proto.machine import MILLISECOND, LocalProtocolError, Machine, Time
+from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, Machine, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
-from canopen_proto.procedures.steps import wait_for_event
+from canopen_proto.procedures.steps import Procedure, Wait, wait_for_event
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.client import SdoUploaded
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
@@ -73,6 +75,15 @@ class Buggy(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         if frame.can_id == BUG_ID or frame.data[:1] == b"\xee":
             raise LocalProtocolError("a bug")
+
+
+def after(node: RemoteNode, *kinds: type[Event]) -> Procedure[list[str]]:
+    """Wait for an event of exactly each of these kinds, one after the other."""
+    heard = []
+    for kind in kinds:
+        event = yield Wait(100 * MILLISECOND, node, lambda event: True, (kind,))
+        heard.append(repr(event))
+    return heard
 
 
 class Bus:
@@ -151,6 +162,9 @@ class Bus:
             lambda: network.detach(self.buggy),
             lambda: other.foreign_writes.listen([objects.CONTROLWORD]),
             lambda: drive.add_mpdo(Direction.TPDO, 4, routing_key(0x485)),
+            lambda: network.run(after(drive, EmcyReceived, PdoReceived), now),
+            lambda: network.run(after(other, PdoReceived, HeartbeatReceived, PdoReceived), now),
+            lambda: network.run(after(drive, SdoUploaded, PdoReceived, EmcyReceived), now),
         )
         acts[number]()
 
@@ -211,7 +225,9 @@ frames = st.one_of(
     st.builds(Frame, st.just(0x12345), st.just(b""), st.just(1)),
 )
 traffic = st.lists(st.tuples(frames, st.none() | st.integers(0, 99)), min_size=3, max_size=14)
-commands = st.integers(0, 22) | st.sampled_from([0, 1, 8, 11, 12, 16, 17, 18])  # requests under way, and PDOs of each kind
+commands = st.integers(0, 25) | st.sampled_from(
+    [0, 1, 8, 11, 12, 16, 17, 18, 23, 24, 25]
+)  # requests under way, and PDOs of each kind
 steps = st.tuples(traffic, st.lists(commands, min_size=1, max_size=4), st.sampled_from([0, 1, 5, 10, 20, 60, 100]))
 
 

@@ -28,14 +28,14 @@ def test_saved_inputs(target: str, path: Path) -> None:
     TARGETS[target](path.read_bytes())
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("target", TARGETS)
 def test_inputs_kept_from_long_runs(target: str) -> None:
     for data in kept(target):
         TARGETS[target](data)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("target", TARGETS)
 def test_random_inputs(target: str) -> None:
     source = random.Random(target)
@@ -43,7 +43,7 @@ def test_random_inputs(target: str) -> None:
         TARGETS[target](source.randbytes(source.randrange(400)))
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("target", TARGETS)
 def test_saved_inputs_joined_and_damaged(target: str) -> None:
     source = random.Random(target)

@@ -9,24 +9,30 @@ from pathlib import Path
 import pytest
 
 from fuzz import mutants
-from fuzz.mutants import MUTANTS, REPLAY, ROOT, WINGS, Mutant, Outcome, main, outcome_of, place_of, plant, source_of
+from fuzz.mutants import MUTANTS, REPLAY, ROOT, WINGS, Mutant, Outcome, main, outcome_of, place_of, plant, planted, source_of
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_a_bug_can_be_planted(mutant: Mutant, tmp_path: Path) -> None:
+def test_a_bug_can_be_planted(mutant: Mutant) -> None:
+    source = source_of(mutant.file).read_text(encoding="utf-8")
+    with_bug = planted(mutant, source)
+    assert with_bug != source
+    compile(with_bug, mutant.file, "exec")
+    assert mutant.why
+    assert mutant.tests
+    assert all((ROOT / test).exists() for test in mutant.tests)
+
+
+def test_a_bug_is_planted_in_the_file_of_a_copy_once_and_nowhere_else(tmp_path: Path) -> None:
+    mutant = MUTANTS[0]
     path = place_of(mutant.file, tmp_path)
     path.parent.mkdir(parents=True)
     source = source_of(mutant.file).read_text(encoding="utf-8")
     path.write_text(source, encoding="utf-8")
     plant(mutant, tmp_path)
-    planted = path.read_text(encoding="utf-8")
-    assert planted != source
-    compile(planted, mutant.file, "exec")
-    assert mutant.why
-    assert mutant.tests
-    assert all((ROOT / test).exists() for test in mutant.tests)
+    assert path.read_text(encoding="utf-8") == planted(mutant, source)
     with pytest.raises(ValueError, match="0 times"):
-        plant(mutant._replace(old="nowhere"), tmp_path)
+        plant(mutant, tmp_path)
 
 
 def test_there_are_forty_at_least_each_with_a_name() -> None:

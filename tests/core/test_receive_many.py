@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
 
 import pytest
 from hypothesis import given
@@ -15,13 +16,13 @@ from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import Frame, routing_key
 from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Machine, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Machine, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
-from canopen_proto.procedures.steps import wait_for_event
+from canopen_proto.procedures.steps import Procedure, Wait, wait_for_event
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
 
@@ -43,6 +44,8 @@ frames = st.one_of(
     st.builds(Frame, st.sampled_from([0x000, 0x080, 0x7FF]), st.just(b"\x01")),
     st.builds(Frame, st.just(0x12345), st.just(b""), st.just(1)),
 )
+Take: TypeAlias = Callable[[Network, Iterator[tuple[Frame, int | None]], Time], None]
+
 traffic = st.lists(st.tuples(frames, st.one_of(st.none(), st.integers(0, 1 << 40))), max_size=12)
 
 
@@ -89,12 +92,31 @@ def burst(*payloads: bytes) -> Iterator[tuple[Frame, int | None]]:
     return iter([*((Frame(TPDO, each), None) for each in payloads), (Frame(HEARTBEAT, b"\x05"), None)])
 
 
-def test_a_quiet_network_makes_no_events_of_the_usual_traffic_and_knows_as_much() -> None:
+def after(kind: type[Event], node: RemoteNode) -> Procedure[None]:
+    """Wait for an event of exactly this kind, then for a PDO."""
+    for each in (kind, PdoReceived):
+        yield Wait(None, node, lambda event: True, (each,))
+
+
+def at_once(network: Network, received: Iterator[tuple[Frame, int | None]], now: Time) -> None:
+    network.receive_many(received, now)
+
+
+def one_by_one(network: Network, received: Iterator[tuple[Frame, int | None]], now: Time) -> None:
+    for frame, timestamp in received:
+        network.receive(frame, now, timestamp)
+
+
+both_ways = pytest.mark.parametrize("take", [at_once, one_by_one])
+
+
+@both_ways
+def test_a_quiet_network_makes_no_events_of_the_usual_traffic_and_knows_as_much(take: Take) -> None:
     network, node = watched_node()
     network.receive_many(burst(bytes(8)), 0)  # its first heartbeat tells a state that is new
     network.drain(0)
     network.quiet = True
-    network.receive_many(burst(bytes(8), bytes.fromhex("0100000002000000")), 1)
+    take(network, burst(bytes(8), bytes.fromhex("0100000002000000")), 1)
     assert network.drain(1) == ([], [])
     assert (node.values[LOW << 8], node.values[HIGH << 8]) == (1, 2)
     assert node.heard_at == {LOW << 8: 1, HIGH << 8: 1}
@@ -110,13 +132,62 @@ def test_a_quiet_network_tells_what_is_new() -> None:
     assert kinds == [NodeBooted.__name__, "NmtStateReported", "PdoLengthUnexpected"]
 
 
-def test_a_procedure_hears_what_nobody_else_asks_for() -> None:
+@both_ways
+def test_a_procedure_hears_what_nobody_else_asks_for(take: Take) -> None:
     network, node = watched_node()
     network.quiet = True
-    request_id = network.run(wait_for_event(node, PdoReceived, SECOND, "a PDO"), 0)
+    procedures = [
+        after(PdoReceived, node),
+        wait_for_event(node, PdoReceived, SECOND, "a PDO"),
+    ]  # the second one is asked about all
+    for procedure in procedures:
+        request_id = network.run(procedure, 0)
+        take(network, burst(bytes(8), bytes(8)), 0)
+        ended = [each for each in network.drain(0)[1] if getattr(each, "request_id", None) == request_id]
+        assert [type(each).__name__ for each in ended] == ["ProcedureFinished"]
+
+
+def kinds_told(network: Network, now: Time) -> list[str]:
+    return [type(each).__name__ for each in network.drain(now)[1]]
+
+
+@both_ways
+def test_a_procedure_that_waits_for_something_else_makes_a_quiet_network_no_louder(take: Take) -> None:
+    network, node = watched_node()
     network.receive_many(burst(bytes(8)), 0)
-    ended = [each for each in network.drain(0)[1] if getattr(each, "request_id", None) == request_id]
-    assert [type(each).__name__ for each in ended] == ["ProcedureFinished"]
+    network.drain(0)
+    network.quiet = True
+    network.run(after(EmcyReceived, node), 0)
+    take(network, burst(bytes(8), bytes(8)), 1)
+    assert kinds_told(network, 1) == []
+
+
+@both_ways
+@pytest.mark.parametrize("are_one_burst", [True, False])
+def test_a_procedure_hears_the_pdo_behind_what_it_waited_for(are_one_burst: bool, take: Take) -> None:
+    """It waits for PDOs only once it is told of the emergency, in the drain behind both frames."""
+    network, node = watched_node()
+    network.receive_many(burst(bytes(8)), 0)
+    network.drain(0)
+    network.quiet = True
+    network.run(after(EmcyReceived, node), 0)
+    emergency, pdo = Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), Frame(TPDO, bytes(8))
+    for frames in ([emergency, pdo],) if are_one_burst else ([emergency], [pdo]):
+        take(network, iter([(frame, None) for frame in frames]), 1)
+    assert kinds_told(network, 1) == ["EmcyReceived", "PdoReceived", "ProcedureFinished"]
+
+
+@both_ways
+def test_a_procedure_that_a_listener_starts_in_a_burst_hears_what_comes_behind(take: Take) -> None:
+    network, node = watched_node()
+    network.receive_many(burst(bytes(8)), 0)
+    network.drain(0)
+    network.quiet = True
+    node.add_listener(lambda muxes, now: network.runner.busy or network.run(after(HeartbeatReceived, node), now))
+    take(network, burst(bytes(8)), 1)
+    assert kinds_told(network, 1) == ["HeartbeatReceived"]
+    take(network, burst(bytes(8)), 2)
+    assert kinds_told(network, 2) == ["PdoReceived", "HeartbeatReceived", "ProcedureFinished"]
 
 
 def test_what_is_no_frame_is_handed_back_at_its_place() -> None:
@@ -139,6 +210,19 @@ class Broken(Machine):
         raise LocalProtocolError("a bug")
 
 
+def test_after_a_bug_a_network_is_as_loud_as_before() -> None:
+    network, _ = watched_node()
+    broken = Broken(network.out)
+    network.attach(broken)
+    network.quiet = True
+    with pytest.raises(LocalProtocolError):
+        network.receive(Frame(TPDO, bytes(8)), 0)
+    network.detach(broken)
+    network.quiet = False
+    network.receive(Frame(TPDO, bytes(8)), 1)
+    assert kinds_told(network, 1) == ["PdoReceived"]
+
+
 def test_after_a_bug_the_frames_behind_it_are_left() -> None:
     network = Network()
     network.attach(Broken(network.out))
@@ -151,16 +235,17 @@ def test_after_a_bug_the_frames_behind_it_are_left() -> None:
     assert network.last_heard == 0
 
 
-def test_behind_a_report_a_quiet_network_reports_all_that_comes() -> None:
+@both_ways
+def test_behind_a_report_a_quiet_network_reports_all_that_comes(take: Take) -> None:
     """Whoever is told of it may ask for more from then on: what stands behind it in the same burst, too."""
     network, _ = watched_node()
     network.receive(Frame(HEARTBEAT, b"\x05"), 0)
     network.drain(0)
     network.quiet = True
     usual = [(Frame(HEARTBEAT, b"\x05"), None), (Frame(TPDO, bytes(8)), None)]
-    network.receive_many(iter([*usual, (Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), None), *usual]), 1)
+    take(network, iter([*usual, (Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), None), *usual]), 1)
     assert [type(event) for event in network.drain(1)[1]] == [EmcyReceived, HeartbeatReceived, PdoReceived]
-    network.receive_many(iter(usual), 2)
+    take(network, iter(usual), 2)
     assert not network.drain(2)[1]
 
 

@@ -12,10 +12,9 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionaryError, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.follower import Follower
-from canopen_proto.frame import KEY_EXTENDED, Frame
+from canopen_proto.frame import KEY_EXTENDED
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Outbox, Time
-from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
@@ -23,6 +22,7 @@ from canopen_proto.pdo.producer import PdoNotSent
 from canopen_proto.remote_node import FRESH, NMT_REACTION_TIME, RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_proto.sync import SyncConsumer, SyncProducer
+from tests.core.device_bench import Bench
 from tests.core.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
 
 E = TypeVar("E", bound=Event)
@@ -44,29 +44,17 @@ def described() -> ObjectDictionary:
     return ObjectDictionary(device.objects.values(), constants=constants, pdos=pdos)
 
 
-class MasterBench:
+class MasterBench(Bench):
     """A Network with a RemoteNode for node 5, and an NMT master beside it."""
 
     def __init__(self, dictionary: ObjectDictionary | None = None, heartbeat_timeout: Time = 0) -> None:
-        self.now: Time = SECOND
-        self.events: list[Event] = []
-        self.network = Network()
+        super().__init__(SECOND)
         dictionary = described() if dictionary is None else dictionary
         self.node = RemoteNode(self.network.out, 5, dictionary, heartbeat_timeout=heartbeat_timeout)
         self.nmt = NmtMaster(self.network.out)
         self.sync = SyncProducer(self.network.out)
         for machine in (self.node, self.nmt, self.sync):
             self.network.attach(machine)
-
-    def take(self) -> list[str]:
-        frames, events = self.network.drain(self.now)
-        self.events += events
-        return [str(frame) for frame in frames]
-
-    def tell(self, *frames: str) -> list[str]:
-        for frame in frames:
-            self.network.receive(Frame.parse(frame), self.now)
-        return self.take()
 
     def wait(self, duration: Time) -> list[str]:
         end = self.now + duration

@@ -10,6 +10,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtoc
 from canopen_proto.sdo.server import ObjectAccessPending
 from tests.core.block_bench import Bench, ClientBench, ServerBench, segments
 from tests.core.block_pair import pattern
+from tests.core.machines import held_data
 from tests.examples import examples
 
 MUX = st.sampled_from(["002000", "012000", "000000", "081000"])
@@ -61,7 +62,7 @@ def play(bench: Bench, step: str | tuple[str, int]) -> list[Event]:
         bench.tell(*step.split())
     bench.said()
     transfer = bench.machine._transfer
-    assert len(getattr(transfer, "_buffer", b"")) <= HELD
+    assert held_data(transfer) <= HELD
     assert len(getattr(transfer, "_content", b"")) <= 1 << 17
     assert transfer is None or bench.machine.deadline < NEVER
     return bench.events()

@@ -42,6 +42,7 @@ def is_segment(frame: str, kind: str) -> bool:
     return frame.startswith("60C" if "download" in kind else "58C") and int(frame[4:6], 16) & 0x7F <= BLOCK_SIZE
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
 @pytest.mark.parametrize("size", [9 * 7, 10 * 7 - 3, 12 * 7 - 1, 12 * 7], ids=str)
 @pytest.mark.parametrize("kind", KINDS)
@@ -84,6 +85,7 @@ def test_each_pair_of_losses(kind: str) -> None:
                 run(kind, content, fates, crc=crc).is_right(content)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_loss_at_the_end_of_a_sub_block_and_another_in_its_repetition(kind: str, crc: bool) -> None:
@@ -130,7 +132,7 @@ def test_under_the_faults_of_can_bytes_are_right_or_there_is_an_abort(
     assert pair.is_right(content) or isinstance(pair.outcomes[0], SdoAborted)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_twenty_percent_loss(kind: str, crc: bool) -> None:
@@ -194,7 +196,7 @@ def test_with_crc_and_size_a_segment_costs_nothing_however_many_others_overtake_
     assert ends([Fate.DELIVERED] * places[place % segments] + [Fate.LATE]).is_right(content)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("rate", [0.02, 0.2])
 @pytest.mark.parametrize("kind", KINDS)
 def test_long_runs_on_a_bad_bus(kind: str, rate: float) -> None:

@@ -106,6 +106,22 @@ def test_segmented_upload_of_unannounced_size() -> None:
     assert report.data == b"Hello !"
 
 
+def test_full_and_shorter_segments_may_follow_each_other() -> None:
+    bench = Bench()
+    bench.client.upload(0x1008, 0, 0)
+    bench.hear("41 08 10 00 17 00 00 00", "00 61 62 63 64 65 66 67", "18 68 69 6A 00 00 00 00", "00 6B 6C 6D 6E 6F 70 71")
+    bench.hear("1C 72 00 00 00 00 00 00", "0B 73 74 00 00 00 00 00")
+    report = bench.outcome()
+    assert isinstance(report, SdoAborted)  # 20 bytes came, 23 were announced
+    bench.frames()
+    bench.client.upload(0x1008, 0, bench.now)
+    bench.hear("41 08 10 00 14 00 00 00", "00 61 62 63 64 65 66 67", "18 68 69 6A 00 00 00 00", "00 6B 6C 6D 6E 6F 70 71")
+    bench.hear("1C 72 00 00 00 00 00 00", "0B 73 74 00 00 00 00 00")
+    report = bench.outcome()
+    assert isinstance(report, SdoUploaded)
+    assert report.data == b"abcdefghijklmnopqrst"
+
+
 def test_segmented_download() -> None:
     bench = Bench()
     request = bench.client.download(0x2000, 3, b"0123456789abcdef", 0)

@@ -86,6 +86,7 @@ def is_segment(case: Case, place: int) -> bool:
     return case.kind not in ("upload", "download") and is_of_sender and 1 <= frame.data[0] & 0x7F <= BLOCK_SIZE
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_frame_that_is_lost(kind: str) -> None:
     for size, crc in product(SIZES, (True, False)):
@@ -99,6 +100,7 @@ def test_a_frame_that_is_lost(kind: str) -> None:
             case.check_next(is_settled=False)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_frame_that_comes_twice(kind: str) -> None:
     for size, crc in product(SIZES, (True, False)):
@@ -108,7 +110,7 @@ def test_a_frame_that_comes_twice(kind: str) -> None:
             case.check_next(is_settled=False)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("late", [300_000, 60 * MILLISECOND, 450 * MILLISECOND])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_frame_that_is_late(kind: str, late: Time) -> None:
@@ -119,6 +121,7 @@ def test_a_frame_that_is_late(kind: str, late: Time) -> None:
             case.check_next(is_settled=False)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("late", [300_000, 60 * MILLISECOND])
 @pytest.mark.parametrize("fate", [Fate.LATE, Fate.COPIED_LATE])
 @pytest.mark.parametrize("kind", KINDS)

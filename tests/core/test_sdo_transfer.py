@@ -18,6 +18,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, FrameIgnore
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending, SdoServer
 from tests.core.bus import CAN_FATES, Bus, Fate
+from tests.core.machines import held_data
 from tests.examples import examples
 
 MAX_DELAY = 5 * MILLISECOND
@@ -96,7 +97,7 @@ class Pair:
             (self.client._transfer, self.client.max_upload),
             (self.server._transfer, self.server.max_download),
         ):
-            assert len(getattr(transfer, "_buffer", b"")) <= limit + 7
+            assert held_data(transfer) <= limit + 7
         if isinstance(report, Outcome):
             self.jobs[report.request_id].outcomes.append((self.bus.now, report))
             self.finished.append(report)

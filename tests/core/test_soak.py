@@ -34,6 +34,7 @@ def soaked(run: Soak, rates: FaultRates = NONE, seconds: int = 2) -> Soak:
     return run
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("seed", range(2))
 def test_every_fault_is_noticed_and_nothing_else(seed: int) -> None:
     findings = soaked(Soak(125_000, seed), MANY, 6).findings
@@ -57,7 +58,7 @@ class Tampered(Soak):
         super()._deliver(frame, receivers, latency)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(
     ("service", "change", "seen"),
     [

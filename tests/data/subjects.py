@@ -148,7 +148,7 @@ class Subject:
         seen: set[int] = set()
         memory = held(self.network._knowledge, seen)  # of what was heard: as large as its slots from the beginning
         assert memory <= MOST_REMEMBERED, f"it remembers {memory}"
-        amount = held(self.network, seen) - len(self.network._near)  # a list of routes, as long from the beginning
+        amount = held(self.network, seen) - len(self.network._lone)  # a list of routes, as long from the beginning
         assert amount <= MOST_HELD, f"it holds {amount}"
         assert self.network.next_deadline() <= NEVER
 

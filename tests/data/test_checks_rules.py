@@ -322,4 +322,4 @@ def test_the_findings_of_one_file_are_bounded(monkeypatch: pytest.MonkeyPatch) -
     assert len(found) == 6
     assert found[-1].code == "too-many"
     assert found[-1].severity is Severity.ERROR
-    assert "more findings are not listed" in found[-1].message
+    assert "more findings not listed" in found[-1].message

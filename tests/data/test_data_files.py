@@ -313,7 +313,7 @@ def test_init_never_overwrites_without_force(tmp_path: Path, monkeypatch: pytest
 def test_init_where_nothing_can_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for target in (tmp_path / "file", tmp_path / "file" / "below", "a\0b"):
-        with pytest.raises(DataError, match="cannot copy the data files to .*\n  try:   `canopen data init --to FOLDER`"):
+        with pytest.raises(DataError, match="cannot copy the data files to .*\n  try:   `canopen data init -o FOLDER`"):
             canopen_data.init(target)
 
 

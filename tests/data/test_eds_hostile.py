@@ -122,7 +122,7 @@ def hostile(kind: str, size: int) -> str:
     return "".join(piece.format(number & 0xFFFF, number) for number in pieces) if "{" in piece else piece * len(pieces)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_memory_is_bounded_by_the_size_of_the_file(kind: str) -> None:
     """Tens of times the file; most where every line is a section. The bounds of ini.py limit this for large files."""

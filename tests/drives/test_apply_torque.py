@@ -93,6 +93,7 @@ def test_a_limit_of_the_drive_counts_too() -> None:
     stands(rig)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("torque", [0.1, -0.1])
 def test_a_limit_of_the_position_stops_it(torque: float, direction: int) -> None:
@@ -114,7 +115,7 @@ def test_without_an_actual_velocity_the_speed_is_taken_from_positions() -> None:
     stands(rig)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("coasts", [False, True])
 @pytest.mark.parametrize("after", [0, 50, 200, 400])
 def test_a_cancel_stops_it(after: int, coasts: bool) -> None:

@@ -74,6 +74,7 @@ def test_each_state_with_each_controlword(state: str, held_reset: bool) -> None:
         assert (shown(bench), bench.transitions()) == expected, f"0x{word:04X} after 0x{before:04X}"
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("mode", MODES)
 def test_no_mode_changes_the_state_machine(mode: int) -> None:
     """Each mode uses bits 4, 5, 6, 8 and 9 in its own way; the state depends on none of them."""
@@ -169,6 +170,7 @@ def assert_stops(bench: Bench, stop: Stop) -> None:
     assert (shown(bench), bench.transitions()) == (stop.ends, [])
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("mode", [1, 3, 6])
 @pytest.mark.parametrize(("index", "value"), CASES, ids=lambda number: f"{number:X}")
 def test_each_option_code_of_an_axis_that_moves(index: int, value: int, mode: int) -> None:

@@ -297,6 +297,7 @@ def test_a_cancel_while_it_gets_power_for_torques_lets_no_load_fall(after: int) 
     assert abs(velocity_of(rig)) < 10
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", [CSV, CST])
 def test_a_drive_that_ignores_the_halt_is_stopped_if_the_watch_is_cancelled(mode: Mode) -> None:
     """By its set-point in csv, by a quick stop in cst."""

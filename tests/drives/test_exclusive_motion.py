@@ -128,6 +128,7 @@ def test_a_motion_waits_for_a_stop() -> None:
     assert isinstance(rig.outcome(halting), ProcedureFinished)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("stop", STOPS)
 def test_a_stop_that_is_cancelled_leaves_the_drive_halted(stop: str) -> None:
     rig = rig_of()

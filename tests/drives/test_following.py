@@ -12,8 +12,8 @@ from canopen_data import load_dictionary
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis, AxisSettings
-from canopen_proto.drives.axis.following import READ_INTERVAL, SILENT_TIME, Following, FollowingLost, read_unsent
-from canopen_proto.drives.axis.following_error import following_limit
+from canopen_proto.drives.axis.following import SILENT_TIME, Following, FollowingLost
+from canopen_proto.drives.axis.following_procedures import READ_INTERVAL, following_limit, read_unsent
 from canopen_proto.drives.axis.limits import DEFAULT_SPEED, Limit, limits_of
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.objects import (

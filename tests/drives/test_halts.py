@@ -47,7 +47,7 @@ HIDDEN = {
 }
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("reaction", [0, 500 * MILLISECOND])
 @pytest.mark.parametrize("ramp", [5_000, 10_000, 16_000, 500_000])
 def test_a_drive_that_brakes_is_waited_for_whatever_its_ramp(ramp: int, reaction: int) -> None:
@@ -127,7 +127,7 @@ def test_a_drive_that_goes_on_as_before_is_told_within_reaction_and_halt_time() 
     assert speed_of(rig) == pytest.approx(SPEED)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("is_refused", [False, True])
 @pytest.mark.parametrize("speed", [0, SPEED])
 @pytest.mark.parametrize("reaction", [0, 600, 1_300, 2_900])

@@ -90,7 +90,7 @@ def test_a_schunk_is_homed_when_it_stands_at_its_new_reference(reaction: Time, c
         home_and_judge(rig)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("cycle", [None, 10 * MILLISECOND, 200 * MILLISECOND])
 @pytest.mark.parametrize("reaction", [0, 80 * MILLISECOND, 900 * MILLISECOND])
 def test_an_old_homing_error_does_not_fail_the_next_homing(reaction: Time, cycle: Time | None) -> None:
@@ -175,7 +175,7 @@ def test_however_late_a_drive_acts_and_however_often_one_tries_again_homed_means
         return
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("method", [1, 17, 33, 34, 35])
 @pytest.mark.parametrize("reaction", [1_100, 1_500, 2_900])
 def test_a_drive_that_answers_late_is_given_its_time(reaction: int, method: int) -> None:

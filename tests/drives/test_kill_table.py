@@ -184,7 +184,7 @@ def allowed(kill: Kill) -> Time:
     return kill.detection + (ramp(kill.rate) if kill.rate else 0) + SETTLING + CYCLE
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("name", KILLS)
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_it_stands_within_the_detection_time_and_its_ramp(motion: str, name: str) -> None:
@@ -226,7 +226,7 @@ def test_each_reaction_that_a_watchdog_may_ask_for(name: str, option: int, rate:
     assert cell.world.node.drive.state is state
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("lacks", [0x6007, 0x1016])
 @pytest.mark.parametrize("name", MOTIONS)
 def test_a_drive_that_cannot_notice_it_is_named_before_it_moves(name: str, lacks: int) -> None:

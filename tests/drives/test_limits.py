@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, Axis, AxisSettings
 from canopen_proto.drives.axis.limits import DEFAULT_SPEED, DriveLimits, Limit, SetPointLimits, limits_of, read_limits
 from canopen_proto.drives.trajectory import JointLimits
@@ -251,3 +252,53 @@ def test_a_path_within_the_speed_limit_is_never_refused(
     limits = limits_of(axis)
     assert limits.excess(start, start + share * speed * cycles / 100, cycles * CYCLE) is None
     assert limits.excess(start, start - 1.001 * speed * cycles / 100, cycles * CYCLE) is not None
+
+
+NEAR_LIMITS = st.sampled_from([-90.0, -89.9999, 170.0, 170.00049, 0.0, 3e6, -3e6, math.inf, -math.inf, math.nan])
+
+
+@given(
+    st.one_of(NEAR_LIMITS.filter(math.isfinite), st.floats(-200, 200)),
+    st.one_of(NEAR_LIMITS, st.floats(-200, 200)),
+    st.sampled_from([(None, None), (-90.0, 170.0), (None, 170.0), (-90.0, None)]),
+    st.sampled_from([1.0, 5000.0, math.inf]),
+    st.sampled_from([1, -1]),
+)
+def test_what_is_allowed_in_one_call_is_what_nothing_is_said_against(
+    start: float, target: float, ends: tuple[float | None, float | None], speed: float, direction: int
+) -> None:
+    settings = AxisSettings(
+        counts_per_unit=1000, direction=direction, min_position=ends[0], max_position=ends[1], max_speed=speed
+    )
+    limits = limits_of(axis_of(settings))
+
+    def is_refused() -> bool:
+        if not math.isfinite(target) or limits.excess(start, target, CYCLE) is not None:
+            return True
+        try:
+            limits.axis.set_points.check(limits.axis.scale.to_counts(target))
+        except ValueRangeError:
+            return True
+        return False
+
+    is_beyond = (ends[0] is not None and target < ends[0]) or (ends[1] is not None and target > ends[1])
+    assert limits.allows(start, target, CYCLE) is (not is_refused() and not is_beyond)
+
+
+@pytest.mark.parametrize(
+    ("start", "target", "is_allowed"),
+    [
+        (170.0, 170.0, True), (169.0, 170.01, False), (-90.0, -90.0, True), (-89.0, -90.01, False),
+        (0.0, 50.0, True), (0.0, 50.01, False), (0.0, -50.01, False), (0.0, math.nan, False), (171.0, 170.5, False),
+    ],
+)  # fmt: skip
+def test_what_is_allowed(start: float, target: float, is_allowed: bool) -> None:
+    """5000 degrees per second are 50 in a cycle. A joint that comes back from beyond a limit is left to `excess`."""
+    limits = limits_of(axis_of(replace(DEGREES, min_position=-90.0, max_position=170.0, max_speed=5000.0)))
+    assert limits.allows(start, target, CYCLE) is is_allowed
+
+
+def test_a_joint_without_a_scale_is_allowed_nothing() -> None:
+    limits = limits_of(axis_of(AxisSettings()))
+    assert limits.excess(0, 1, FOREVER) is None
+    assert not limits.allows(0, 1, FOREVER)

@@ -102,6 +102,7 @@ def test_a_makers_method_is_sent_as_any_other() -> None:
     assert rig.drive._servo.zero == -50_000
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("mechanics", [None, Mechanics()], ids=["lag", "mass"])
 @pytest.mark.parametrize(("method", "place"), [(-1, 55_123), (-2, -49_877), (-3, 58_000), (-4, -52_000)])
 def test_onto_a_hard_stop(method: int, place: int, mechanics: Mechanics | None) -> None:

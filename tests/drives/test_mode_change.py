@@ -31,7 +31,7 @@ def rig_with(known: bool = True, **rules: object) -> Rig:
     return rig
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("rules", RULES)
 def test_homing_and_moves_in_turn(rules: dict[str, object]) -> None:
     rig = rig_with(**rules)

@@ -179,7 +179,7 @@ def test_too_few_places_in_a_mapping() -> None:
     only_one = {mux(0x1600 + number, 2): {"access": Access.RO} for number in range(4)}
     with pytest.raises(NoMotionPlanError) as refused:
         plan(changed(empty_pdos() | only_one | supports(0x80)))
-    assert "RPDO 4 has room for 1 objects" in refused.value.obstacles[0].reason
+    assert "RPDO 4 has room for 1 object" in refused.value.obstacles[0].reason
 
 
 def test_a_fixed_mapping_without_the_set_point() -> None:

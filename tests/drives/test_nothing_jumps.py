@@ -87,7 +87,7 @@ DOINGS: dict[str, Callable[[Rig], object]] = {
 STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position, "csv": drive.start_cyclic_velocity}
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("doing", DOINGS)
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1000))
@@ -169,6 +169,7 @@ def halted_move(rig: Rig, later: int) -> float:
     return rig.drive._servo.demand_position
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("relative", [False, True])
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1500), target=st.floats(-0.5, 1.5))
 @example(reaction=0, later=700, target=0.0)

@@ -153,6 +153,7 @@ HARD_TO_STOP_ON = {
 }
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("case", HARD_TO_STOP_ON)
 def test_a_stop_keeps_the_limits_wherever_it_begins(case: str) -> None:
     rows, limits = HARD_TO_STOP_ON[case]
@@ -237,6 +238,7 @@ def test_a_stop_takes_little_longer_than_the_ramp_of_the_joint() -> None:
     assert clock.is_finished
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("override", [1.0, 0.9])
 def test_a_stop_while_joints_gather_speed_is_over_sooner_if_it_begins_behind_that(override: float) -> None:
     rows = []
@@ -263,6 +265,27 @@ def test_a_stop_while_joints_gather_speed_is_over_sooner_if_it_begins_behind_tha
                 for each, limit in zip(seen, (own.speed, own.acceleration, own.jerk), strict=True):
                     assert limit is None or each <= limit * (1 + ROUNDING) + 1e-6
     assert sooner > 5
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.3, 0.05])
+def test_a_stop_that_would_be_too_long_is_not_searched_and_any_other_one_is_the_same(rate: float) -> None:
+    rows = [
+        stepwise([(0.25, jerk), (0.125, 0.0), (0.25, -jerk), (1.5, 0.0), (0.25, -jerk), (0.375, jerk)], 3) for jerk in (72, 20)
+    ]
+    path = Path(rows)
+    margin = PathClock(path, limits_with_margin(path, 0.2), CYCLE)._margin
+    cut_off = 0
+    for number in range(40):
+        time = path.duration * number / 40
+        meant = margin.braking_at(time, rate, 0.0)
+        for worth in (0.5 * meant.duration, 0.9 * meant.duration, meant.duration, 1.1 * meant.duration):
+            found = margin.braking_at(time, rate, 0.0, None, worth)
+            if meant.duration <= worth:
+                assert found.phases == meant.phases
+            else:
+                assert found.duration > worth
+                cut_off += found.phases != meant.phases
+    assert cut_off > 5
 
 
 def test_a_stop_at_a_constant_speed_may_use_all_of_the_acceleration() -> None:

@@ -105,7 +105,7 @@ def test_a_jump_of_the_acceleration_is_a_jerk_of_a_cycle() -> None:
     st.sampled_from(["linear", "spline", "hermite"]),
     st.sampled_from([0.001, 0.004, 0.01]),
 )
-@examples(40)
+@examples(40, least=8)
 def test_what_passes_the_check_is_within_the_limits_for_a_drive(
     points: list[tuple[float, float]], kind: str, cycle_time: float
 ) -> None:

@@ -46,7 +46,7 @@ WAYS = [
 ]
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(("direction", "target", "way"), WAYS)
 def test_the_way_to_a_target(direction: RotaryDirection, target: float, way: float) -> None:
     for along in (False, True):

@@ -73,6 +73,7 @@ def test_it_runs_for_its_time_and_stands_then(mode: Mode, direction: int, veloci
     assert rig.axis.controlword & 0x100
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", MODES)
 def test_it_runs_until_it_is_cancelled(mode: Mode) -> None:
     rig = rig_with()
@@ -101,6 +102,7 @@ def test_with_a_controlword_that_goes_by_a_synchronous_rpdo(mode: Mode) -> None:
     assert not rig.master.runner.busy
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", MODES)
 def test_the_ramps_are_those_asked_for(mode: Mode) -> None:
     rig = rig_with()
@@ -213,6 +215,7 @@ def test_a_velocity_is_not_rounded_beyond_the_limit(velocity: float, highest: fl
     assert news[0].velocity == told
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("sides", [("min_position",), ("min_position", "max_position")])
 def test_a_drive_that_runs_the_other_way_is_halted_before_its_limit(direction: int, sides: tuple[str, ...]) -> None:

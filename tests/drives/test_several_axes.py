@@ -228,6 +228,7 @@ def test_a_command_of_another_master_is_named_at_the_axis_that_it_is_for() -> No
     assert "commanded 0x0006" in str(view_of(rig.second).foreign)
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("axis", range(8))
 def test_each_axis_of_a_node_with_eight_has_a_plan(axis: int) -> None:
     """The predefined connection set has CAN-IDs for four; the others are slow."""

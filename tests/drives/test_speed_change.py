@@ -28,6 +28,7 @@ def test_it_gets_there_within_its_limits(speed: float, part: float, wanted: floa
     change = SpeedChange(speed, given_acceleration, wanted, most, jerk)
     assert change.at(0.0) == pytest.approx((0.0, speed, given_acceleration), abs=1e-12)
     assert change.at(change.duration) == (change.distance, wanted, 0.0)
+    assert SpeedChange.seconds(speed, given_acceleration, wanted, most, jerk) == change.duration
     assert change.at(change.duration + 2.0) == pytest.approx((change.distance + 2.0 * wanted, wanted, 0.0))
     before = change.at(change.duration * (1 - 1e-9))
     assert before == pytest.approx((change.distance, wanted, 0.0), abs=1e-6)

@@ -63,6 +63,7 @@ def words(rig: Rig, since: int = 0) -> list[int]:
     return [int.from_bytes(data[4:6], "little") for data in frames if data[:4] == b"\x2b\x40\x60\x00"]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", STOPS)
 @given(fates=FATES, pause=st.sampled_from((MILLISECOND, 400 * MILLISECOND, 2 * SECOND)))
 def test_the_first_frame_of_a_stop_is_one_that_stops(name: str, fates: list[Fate], pause: int) -> None:
@@ -137,6 +138,7 @@ def test_a_stop_without_an_answer_is_sent_again_and_is_urgent(name: str) -> None
     assert rig.drive.state is not State.OPERATION_ENABLED
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("name", [*STOPS, "halt"])
 @given(fates=FATES)
 @example([Fate.DELIVERED, Fate.COPIED, Fate.LOST])
@@ -233,6 +235,7 @@ def test_a_stop_without_an_answer_is_sent_again_to_a_drive_that_has_just_shown_i
     assert rig.drive.state is not State.OPERATION_ENABLED
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", STOPS)
 def test_another_client_of_long_ago_makes_no_stop_doubtful(name: str) -> None:
     """A stranger once read an object; much later the answer to the first word is lost."""

@@ -123,6 +123,7 @@ def test_values_are_written_only_where_they_change() -> None:
     assert [int.from_bytes(each, "little") for each in written] == [5_000, 6_000]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("option", [0, 1, 2])
 @pytest.mark.parametrize("relative_to", RelativeTo)
 def test_relative_whatever_60f2_was(option: int, relative_to: RelativeTo) -> None:
@@ -270,7 +271,7 @@ def test_whenever_it_ends_the_drive_stands_or_has_no_power(at: int, how: str) ->
         assert how != "cancel"
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("settings", [{}, {"mode_change_state": State.SWITCHED_ON}, {"changes_mode_halted": False}], ids=str)
 @pytest.mark.parametrize("points", [0, 1, 3])
 @pytest.mark.parametrize("second", ["move_to", "move_along", "slow"])

@@ -126,7 +126,7 @@ NO_MATTER = {("change_state", "mode change"), ("set_mode", "mode change"), ("qui
 CASES = [(name, cause) for name in WAITS for cause in CAUSES if (name, cause) not in NO_MATTER]
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(8)
 @pytest.mark.parametrize("by_pdo", [False, True])
 @pytest.mark.parametrize(("name", "cause"), CASES)
 def test_a_wait_ends_as_soon_as_its_reason_is_there(name: str, cause: str, by_pdo: bool) -> None:
@@ -173,7 +173,7 @@ def rig_of(by_pdo: bool) -> Rig:
     return rig
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("by_pdo", [False, True])
 @pytest.mark.parametrize("name", WAITS)
 def test_without_a_cause_it_waits_to_its_end(name: str, by_pdo: bool) -> None:
@@ -183,6 +183,7 @@ def test_without_a_cause_it_waits_to_its_end(name: str, by_pdo: bool) -> None:
     rig.run(waiting.run(rig))
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("beyond", [-4.0, 4.0])
 def test_a_move_beyond_a_software_limit_is_told_with_the_limit(beyond: float) -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
@@ -197,6 +198,7 @@ def test_a_move_beyond_a_software_limit_is_told_with_the_limit(beyond: float) ->
         rig.run(drive.move_to(rig.axis, beyond, timeout=60 * SECOND, relative=True))
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("reaction", [0, 100 * MILLISECOND, 900 * MILLISECOND])
 def test_a_move_of_a_late_drive_ends_at_its_target(reaction: int) -> None:
     """It shows "target reached" of the move before until it has taken the next one."""

@@ -164,6 +164,18 @@ async def test_a_line_that_is_too_long_ends_its_connection_alone() -> None:
         assert await good.say("[1] 3 r 0x1000 0 u32") == "[1] 131474"
 
 
+@with_sockets
+async def test_bytes_that_are_no_text_are_told_so_and_tls_ends() -> None:
+    async with open_door(3) as (door, _):
+        client, secure = await connect(door), await connect(door)
+        await client.stream.send_all(b"\0\x01\x02[1] 3 reset node\n")
+        assert await client.line() == "[0] ERROR:101 #these bytes are no text: a line of CiA 309-3 is"
+        assert await client.say("[2] 3 r 0x1000 0 u32") == "[2] 131474"  # a burst on a line ends nobody
+        await secure.stream.send_all(b"\x16\x03\x01\x02\0\x01\0\x01\xfc\x03\x03")  # without the end of a line
+        assert await secure.line() == "[0] ERROR:100 #this gateway has no TLS: its lines are plain text"
+        assert await secure.ended()
+
+
 @pytest.mark.parametrize("first", ["POST / HTTP/1.1\r", "GET /chat HTTP/1.0", "PRI * HTTP/2.0\r"])
 @with_sockets
 async def test_a_page_in_a_browser_commands_nothing(first: str) -> None:

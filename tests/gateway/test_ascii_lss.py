@@ -72,6 +72,13 @@ async def test_all_devices_get_their_node_ids() -> None:
 
 
 @virtual_time
+async def test_one_device_is_told_in_the_words_of_canopennode() -> None:
+    async with text_client(allow="lss", makers=devices(1)) as (_, client):
+        answer = await client.say("[1] lss_allnodes 20 10 0 2 0x332 2 0x43 2 0x10000 0 0")
+        assert answer.splitlines()[1:] == ["# Found 1 nodes, search finished.", "[1] OK"]
+
+
+@virtual_time
 async def test_searches_as_lely_has_them() -> None:
     async with text_client(allow="lss", makers=devices(2), dialect=LELY) as (_, client):
         await client.say("[1] set network 1")

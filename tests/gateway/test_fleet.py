@@ -12,7 +12,7 @@ import pytest
 import trio
 
 from canopen_data.descriptions import load_description
-from canopen_gateway import BridgeRefusedError, DoorError, FleetError
+from canopen_gateway import BridgeRefusedError, DoorError, FleetError, Limits
 from canopen_gateway.fleet import (
     FleetEmcy,
     FleetPdo,
@@ -29,9 +29,12 @@ from canopen_gateway.fleet.keys import ROOT
 from canopen_master import DeviceModel
 from canopen_proto import NmtCommand
 from canopen_proto.abort import AbortCode
+from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtState
+from canopen_transports import open_transport
 from tests.gateway.fleet_world import BUS, NODE, SITE, bridge, fleet, free_endpoint, real_time, seen
 from tests.gateway.gateway_world import gateway
+from tests.master.world import BUS as VIRTUAL
 from tests.master.world import drives
 
 zenoh = pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -58,6 +61,16 @@ async def test_an_object_of_all_nodes_is_read_side_by_side_and_a_silent_one_has_
         assert (three.value, three.problem) == (0, "")
         assert four.value is None
         assert "did not answer" in four.problem
+
+
+@real_time
+async def test_more_nodes_than_a_bridge_serves_at_a_time_are_all_read() -> None:
+    dictionary = load_description("sample_io.eds").dictionary
+    count = Limits().requests + 8
+    devices = [DeviceModel(dictionary, node_id=node_id) for node_id in range(1, count + 1)]
+    async with fleet(*range(1, count + 1), makers=devices, without_drives=True) as (viewer, _):
+        found = await viewer.read_all("*/*/*", 0x1001)
+        assert [(each.place.node_id, each.value, each.problem) for each in found] == [(at + 1, 0, "") for at in range(count)]
 
 
 @real_time
@@ -115,6 +128,19 @@ async def test_nodes_come_and_go_with_their_states() -> None:
 
 
 @real_time
+async def test_more_news_than_a_bridge_takes_leave_no_wrong_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two hundred nodes that come back at once are more events than wait for a client: those that were dropped are looked up."""
+    monkeypatch.setattr("canopen_gateway.service.EVENTS_WAITING", 1)
+    async with fleet(3) as (viewer, served), await open_transport(VIRTUAL) as wire:
+        for node_id in range(20, 40):
+            await wire.send(Frame(0x700 + node_id, b"\x05"))
+        await seen(lambda: served.door.dropped > 0)
+        await seen(lambda: {each.node_id for each in viewer.nodes} >= {*range(20, 40)})
+        assert set((await viewer.status(f"{SITE}/{BUS}"))["nodes"].values()) >= {"OPERATIONAL"}
+        await seen(lambda: [each.node_id for each in viewer.nodes] == [3])  # no further heartbeat: all of them are gone again
+
+
+@real_time
 async def test_emergencies_come_and_are_remembered_for_those_who_come_later() -> None:
     async with fleet(3) as (viewer, served):
         with viewer.news(FleetEmcy) as news:
@@ -140,6 +166,40 @@ async def test_pdos_come_by_name_once_somebody_asks_for_them() -> None:
         mapping = node.remote.tpdos[pdo.number].mapping
         assert pdo.place == FleetPlace(SITE, BUS, 5)
         assert pdo.values == dict(zip(mapping.labels, mapping.unpack(pdo.data), strict=True))
+
+
+@real_time
+async def test_by_two_routers_each_thing_is_done_and_told_once_and_one_of_them_may_end() -> None:
+    """So routers are brought up to date, one after the other: both sides are connected to both, and everything comes twice."""
+    ends = [free_endpoint(), free_endpoint()]
+    first, second = [await open_zenoh(listen=[each], mode="router") for each in ends]
+    heard: list[str] = []
+    door = await bind_fleet_door(SITE, connect=ends)
+    async with door, gateway(3, allow="write,nmt", heard=heard) as (_, service), trio.open_nursery() as nursery:
+        nursery.start_soon(door.serve, service)
+        async with open_fleet(connect=ends) as viewer:
+            await seen(lambda: viewer.nodes == [PLACE])
+            copies = []
+            viewer._zenoh.declare_subscriber(f"{ROOT}/*/*/*/nmt", copies.append)
+            with viewer.news(FleetState) as news:
+                await viewer.write(NODE, 0x1017, 100)
+                await viewer.nmt(NODE, NmtCommand.START)
+                while (await news.receive()).state is not NmtState.OPERATIONAL:
+                    pass
+                await viewer.nmt(NODE, NmtCommand.ENTER_PRE_OPERATIONAL)
+                assert (await news.receive()).state is NmtState.PRE_OPERATIONAL
+                await seen(lambda: len(copies) >= 4)  # else there are no two ways
+            assert sum(each.startswith("603#2B1710") for each in heard) == 1
+            assert sum(each.startswith("000#01") for each in heard) == 1
+            await close_zenoh(first)
+            await viewer.write(NODE, 0x1017, 200)
+            assert (await viewer.read(NODE, 0x1017)).value == 200
+            assert sum(each.startswith("603#2B1710") for each in heard) == 2
+            await close_zenoh(second)
+            await seen(lambda: not viewer.nodes)
+            with pytest.raises(FleetError):
+                await viewer.read(NODE, 0x1017)
+        nursery.cancel_scope.cancel()
 
 
 @real_time

@@ -30,10 +30,16 @@ class Client:
         self.lead = lead
         self.proof = proof
         self.number = 0
+        self.term: object = ""
+        self.said: list[bytes] = []
 
     def say(self, do: str, **what: Any) -> dict[str, object]:
         self.number += 1
-        return self.lead.say(json.dumps({"client": self.proof, "sequence": self.number, "do": do, **what}).encode())
+        message = {"client": self.proof, "term": self.term, "sequence": self.number, "do": do, **what}
+        self.said.append(json.dumps(message).encode())
+        told = self.lead.say(self.said[-1])
+        self.term = told["term"]
+        return told
 
     async def hold(self, seconds: float, *again: Any, **what: Any) -> None:
         """Renew the lease for so long, or say something again."""
@@ -113,6 +119,45 @@ async def test_after_the_end_of_a_lease_its_numbers_begin_anew_for_who_takes_it(
             one.say("renew")
         other.say("take")
         other.say("renew")
+
+
+@virtual_time
+async def test_a_message_of_an_earlier_lease_moves_nothing_though_its_client_has_the_lease_again() -> None:
+    """What was recorded, or came late over a network, is sent once more: with the proof, and with numbers above the first."""
+    async with machine() as (host, service, arm):
+        lead = RemoteLead(service.lease)
+        one = Client(lead)
+        await one.ready(arm.name)
+        await one.hold(0.3, "jog", chain=arm.name, velocities=[0.2, 0.0])
+        recorded = [each for each in one.said if b"take" not in each]
+        await trio.sleep(LEASE_TIME + 3)
+        again = Client(lead)  # the same proof, and numbers from 1 on
+        await again.ready(arm.name)
+        for message in recorded:
+            with pytest.raises(LeaseError, match="another lease"):
+                lead.say(message)
+        assert service.lease.doing == ""
+        assert not is_moving(host)
+        again.say("renew")  # and whoever has it goes on
+
+
+@virtual_time
+async def test_a_whole_lease_that_is_said_once_more_moves_nothing() -> None:
+    async with machine() as (host, service, arm):
+        lead = RemoteLead(service.lease)
+        one = Client(lead)
+        await one.ready(arm.name)
+        await one.hold(0.3, "jog", chain=arm.name, velocities=[0.2, 0.0])
+        await trio.sleep(LEASE_TIME + 3)
+        for message in one.said:
+            if b'"take"' in message:
+                lead.say(message)  # holds the lease for its time, and no longer
+                continue
+            with pytest.raises(LeaseError):
+                lead.say(message)
+        assert not is_moving(host)
+        await trio.sleep(LEASE_TIME + 3)
+        assert service.lease.owner is None
 
 
 anything = st.recursive(

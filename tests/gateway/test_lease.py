@@ -10,11 +10,13 @@ import trio
 
 from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllowedError
 from canopen_gateway.lease import LEASE_TIME
-from canopen_master import Chain, ChainState, Host
+from canopen_master import Chain, ChainState, Host, open_master
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
+from canopen_proto.nmt import NmtCommand
+from canopen_transports import open_transport
 from tests.gateway.gateway_world import TextClient, gateway
-from tests.master.world import arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
+from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
 
 
 @asynccontextmanager
@@ -319,3 +321,102 @@ async def test_somebodys_halt_holds_though_the_owner_goes_on_sending() -> None:
             owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
             await owner.hold(0.2)
             assert is_moving(host)
+
+
+async def sends(session: GatewaySession, command: NmtCommand, node_id: int) -> bool:
+    """Whether an NMT command is sent."""
+    try:
+        await session.nmt(session.service.nets[0], command, node_id)
+    except LeaseError as refused:
+        assert "halt" in " ".join(refused.tries)
+        return False
+    return True
+
+
+@virtual_time
+@pytest.mark.parametrize("command", list(NmtCommand))
+async def test_nobody_else_takes_the_ground_from_what_the_owner_moves(command: NmtCommand) -> None:
+    heard: list[str] = []
+    async with gateway(3, 4, 5, allow="motion,nmt", heard=heard) as (_, service):
+        arm = arm_of(service.master, 3, 4)
+        with service.open_session("hand") as one, service.open_session("other") as other:
+            owner = Owner(service, one)
+            owner.lease.take(one)
+            owner.lease.enable(one, owner.next(), "arm")
+            assert not await sends(other, command, 3)  # on its way to power
+            while owner.lease.doing:
+                await owner.hold(0.1)
+            owner.lease.jog(one, owner.next(), "arm", [0.1, 0.0])
+            heard.clear()
+            assert not await sends(other, command, 3)
+            assert not await sends(other, command, 0)  # of all
+            assert not [each for each in heard if each.startswith("000#")]
+            assert await sends(other, command, 5)  # which is no joint of it
+            owner.lease.stop(one, owner.next())
+            await owner.hold(1)
+            assert arm.state is ChainState.FOLLOWING
+            assert await sends(one, command, 3)  # the owner may
+
+
+@virtual_time
+async def test_a_drive_with_power_takes_nmt_commands_from_the_owner_of_the_lease_only() -> None:
+    async with gateway(3, 4, allow="motion,nmt,program,lss") as (_, service):
+        with service.open_session("hand") as one, service.open_session("other") as other:
+            client = TextClient(one)
+            for word in ("0x80", "6", "7", "0xF"):
+                assert await client.say(f"[1] 3 w 0x6040 0 u16 {word}") == "[1] OK"
+                await trio.sleep(0.6)
+            assert (await client.say("[2] 3 reset node")).startswith("[2] ERROR:102 #NMT reset node of node 3")
+            assert (await client.say("[2] 0 reset node")).startswith("[2] ERROR:102")
+            assert (await client.say("[2] lss_activate_bitrate 100")).startswith("[2] ERROR:102 #another bit rate of node 3")
+            for index in (0x1F51, 0x1F82):  # which do the same by another way
+                assert (await client.say(f"[3] 3 w {index:#x} 1 u8 0")).startswith(f"[3] ERROR:102 #writing 0x{index:04X}:01")
+            assert await sends(one, NmtCommand.STOP, 4)
+            assert not await sends(other, NmtCommand.STOP, 3)
+            await service.halt()
+            assert not await sends(other, NmtCommand.STOP, 3)  # it stands, and has power: an axis may fall
+            service.lease.take(other)
+            assert not await sends(one, NmtCommand.STOP, 3)
+            await trio.sleep(1)  # the lease is over
+            assert await client.say("[4] 3 w 0x6040 0 u16 6") == "[4] OK"
+            await trio.sleep(0.6)
+            assert await client.say("[5] lss_activate_bitrate 100") == "[5] OK"
+            assert await sends(other, NmtCommand.STOP, 3)
+
+
+@virtual_time
+async def test_the_owner_of_the_lease_may_reset_a_drive_with_power() -> None:
+    async with machine("motion,nmt") as (_, service, arm):
+        with service.open_session("hand") as one:
+            owner = Owner(service, one)
+            await owner.ready(arm)
+            assert await sends(one, NmtCommand.RESET_NODE, 3)
+            assert await sends(one, NmtCommand.RESET_NODE, 0)
+
+
+@virtual_time
+async def test_a_drive_with_a_fault_may_be_reset_by_everybody() -> None:
+    async with machine("motion,nmt") as (host, service, arm):
+        with service.open_session("hand") as one, service.open_session("other") as other:
+            owner = Owner(service, one)
+            await owner.ready(arm)
+            drives(host)[0].raise_fault(0x2310, host.now())
+            owner.lease.leave(one)
+            await trio.sleep(3)
+            assert arm.state is ChainState.FAULT
+            assert await sends(other, NmtCommand.RESET_NODE, 3)
+
+
+@virtual_time
+@pytest.mark.parametrize("node_id", [0, 3])
+async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id: int) -> None:
+    """This gateway was started beside it, and has never heard of the drive's state."""
+    async with gateway(3, 4, allow="nmt") as (host, service), open_master(await open_transport(BUS)) as program:
+        await service.find_nodes(service.nets[0])
+        for word in (0x80, 0x6, 0x7, 0xF):
+            await program.node(3).write("controlword", word)
+            await trio.sleep(0.6)
+        assert drives(host)[0].drive.state is State.OPERATION_ENABLED
+        with service.open_session("other") as other:
+            assert not await sends(other, NmtCommand.RESET_NODE, node_id)
+            assert await sends(other, NmtCommand.RESET_NODE, 4)

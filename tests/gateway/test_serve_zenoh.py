@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -138,6 +139,48 @@ def test_watch_tells_what_happens(run: Run, joined: str) -> None:
     assert "1 bus, 2 nodes" in err
 
 
+def test_a_fleet_is_recorded_and_asked(run: Run, joined: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("duckdb", reason="the extra history is not installed")
+    folder = str(tmp_path / "history")
+    words = ("--read", "statusword", "--read", "1008", "--every", "50ms", "--for", "0.5s")
+    status, out, err = run("fleet", "record", folder, "hall/*/3", "--connect", joined, *words, "--json")
+    assert (status, "a kill loses 60 s at most" in err) == (ExitCode.OK, True)
+    assert fits("fleet record", out)["rows"] > 4
+    status, out, _ = run("fleet", "query", folder, "--json")
+    (node,) = fits("fleet query", out)["rows"]
+    assert node[:3] == [f"{BUS}/3", node[1], 2]
+    (tmp_path / "history" / "notes").write_text("x")
+    status, out, err = run("fleet", "query", folder, "hall/3:statusword", "--since", "1h ago", "--limit", "1")
+    assert (status, "576" in out, "there are more" in err, "left alone" in err) == (ExitCode.OK, True, True, True)
+    status, out, _ = run(
+        "fleet", "query", folder, f"{BUS}/3:1008:00", "hall/9:statusword", "--since", "1h", "--csv", "--limit", "1"
+    )
+    assert out.splitlines()[0] == "time,place,object,name,value,unit,raw,problem"
+    assert f"{BUS}/3,1008:00,manufacturer_device_name,Simulated Schunk Powerball joint,," in out
+    for view in ("gaps", "runs", "states", "emergencies"):
+        assert run("fleet", "query", folder, "--sql", view, "--json").status == ExitCode.OK
+    for sql in (f"SELECT * FROM read_text('{tmp_path}/history/notes')", "SELECT", "COPY samples TO 'x'"):
+        status, _, err = run("fleet", "query", folder, "--sql", sql)
+        assert (status, "CO164" in err) == (ExitCode.USAGE, True)
+    for wrong in (("--since", "soon"), ("hall",), ("hall/3:",), ("--sql", "SELECT 1", "hall/3:x"), ("--csv", "--json")):
+        assert run("fleet", "query", folder, *wrong).status == ExitCode.USAGE
+    part = next((tmp_path / "history" / "hall").rglob("*.parquet"))
+    part.write_bytes(part.read_bytes()[:-10])
+    status, _, err = run("fleet", "query", folder)
+    assert (status, "CO163" in err, part.name in err.replace("\n", "")) == (ExitCode.BAD_FILE, True, True)
+    for module, extra in (("duckdb", "history"), ("pyarrow", "parquet")):
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, module, None)
+            status, _, err = run("fleet", "query", folder)
+            assert (status, f"canopen-proto[{extra}]" in err) == (ExitCode.USAGE, True)
+
+
+def test_a_folder_that_cannot_be_written_is_told_at_once(run: Run, joined: str, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("x")
+    status, _, err = run("fleet", "record", str(tmp_path / "taken" / "history"), "--connect", joined, "--for", "5s")
+    assert (status, "taken" in err) == (ExitCode.BAD_FILE, True), err
+
+
 @pytest.mark.thorough
 def test_nobody_there_is_told_with_the_next_step(run: Run) -> None:
     endpoint = free_endpoint()
@@ -168,8 +211,24 @@ def test_other_computers_stay_out_and_a_port_in_use_is_told(run: Run, joined: st
 
 
 def test_without_its_extra_a_fleet_says_what_to_install(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    import sys
-
     monkeypatch.setitem(sys.modules, "zenoh", None)
     status, _, err = run("fleet", "ls")
     assert (status, "canopen-proto[fleet]" in err) == (ExitCode.USAGE, True)
+
+
+def test_a_page_over_a_fleet_says_where_it_is_and_begins_where_nobody_is(run: Run, tmp_path: Path, joined: str) -> None:
+    outcome = run("fleet", "web", "--connect", joined, "--port", "0", "--seconds", "0.1")
+    assert outcome.status == 0
+    assert "open http://127.0.0.1:" in outcome.err
+    assert "read-only, as far as each bridge allows it" in outcome.err
+    token = tmp_path / "token"
+    token.write_text("chosen-by-somebody\n")
+    nobody = ("fleet", "web", "--connect", "tcp/127.0.0.1:9", "--port", "0", "--seconds", "0.1", "--json")
+    told = fits("fleet web", run(*nobody, "--allow", "nmt,write", "--token-file", str(token)).out)
+    assert told["url"].endswith("/?token=chosen-by-somebody")
+    assert (told["connect"], told["allow"]) == (["tcp/127.0.0.1:9"], ["nmt", "write"])
+    for never in ("motion", "write,lss"):
+        refused = run(*nobody, "--allow", never)
+        assert refused.status == ExitCode.USAGE
+        assert "not over a fleet" in refused.out + refused.err
+    assert run("fleet", "web", "--bind", "0.0.0.0", "--port", "0", "--seconds", "0").status == ExitCode.CANNOT_OPEN

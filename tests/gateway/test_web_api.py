@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import trio
 
 from canopen_gateway import Limits
-from canopen_gateway.web.api import ROUTES
+from canopen_gateway.traffic.ring import CAPACITY
+from canopen_gateway.web.api import MOST_TRACES, ROUTES
+from canopen_gateway.web.guard import SEND_SECONDS
 from canopen_proto.frame import Frame
 from canopen_transports import open_transport
 from tests.gateway.web_world import web
@@ -109,7 +112,7 @@ async def test_an_error_that_nobody_foresaw_ends_one_request_alone() -> None:
         def broken() -> None:
             raise ZeroDivisionError("secret")
 
-        world.hub.state = broken  # type: ignore[assignment,method-assign]
+        world.hub.subject.state = broken  # type: ignore[assignment,method-assign]
         answer = await world.http.get("/api/v1/state")
         assert answer.status_code == 500
         assert "secret" not in answer.text
@@ -195,3 +198,98 @@ async def test_metrics_for_prometheus() -> None:
         assert found["canopen_request_seconds_bucket", "0.5", BUS] <= found["canopen_request_seconds_bucket", "+Inf", BUS]
         assert found["canopen_chain_missed_cycles_total", "arm"] == 0
         assert (await world.http.get("/metrics", headers={"authorization": ""})).status_code == 401
+
+
+def misfits(value: Any, schema: dict[str, Any], schemas: dict[str, Any], where: str = "") -> list[str]:
+    """Where a value is not what its JSON schema says, as far as ours go."""
+    if "$ref" in schema:
+        return misfits(value, schemas[schema["$ref"].rpartition("/")[2]], schemas, where)
+    if "anyOf" in schema:
+        return [] if any(not misfits(value, each, schemas) for each in schema["anyOf"]) else [where]
+    kinds = {"string": str, "integer": int, "number": (int, float), "null": type(None), "array": list, "object": dict}
+    if not isinstance(value, kinds[schema["type"]]):
+        return [f"{where}: {value!r} is no {schema['type']}"]
+    if schema["type"] == "array":
+        parts = [(f"{where}/{number}", each, schema["items"]) for number, each in enumerate(value)]
+    elif schema["type"] == "object":
+        if not set(value) == set(schema["properties"]) == set(schema["required"]):
+            return [f"{where}: {sorted(value)}"]
+        parts = [(f"{where}/{name}", each, schema["properties"][name]) for name, each in value.items()]
+    else:
+        parts = []
+    return [wrong for part, each, its in parts for wrong in misfits(each, its, schemas, part)]
+
+
+@virtual_time
+async def test_the_network_is_what_its_description_says() -> None:
+    async with web(3, 4) as world:
+        arm = arm_of(world.service.master, 3, 4)
+        await arm.initialise()
+        await arm.follow()
+        await trio.sleep(2)
+        described = await world.get("/openapi.json")
+        answer = described["paths"]["/api/v1/{net}/network"]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+        found = await world.get("/1/network")
+        schemas = described["components"]["schemas"]
+        assert misfits(found, answer, schemas) == []
+        assert misfits({**found, "net": "1"}, answer, schemas)  # the check itself finds what is wrong
+        assert misfits({**found, "pdos": [{}]}, answer, schemas)
+        assert [each["node"] for each in found["nodes"]] == [3, 4, 127, 0]  # 127: the master's own heartbeat
+        assert found["nodes"][2]["name"] == "this master"
+        assert found["pdos"]
+        assert (await world.http.get("/api/v1/9/network")).status_code == 404
+        pdos = await world.get("/1/3/pdos")
+        assert {each["pdo"] for each in pdos} >= {"TPDO 1", "RPDO 1"}
+        assert (await world.get("/1/network"))["nodes"][0]["pdos"] == "the device"
+        assert (await world.http.get("/api/v1/1/99/pdos")).status_code == 504
+
+
+@virtual_time
+async def test_a_trace_is_taken_away_and_odd_numbers_are_refused() -> None:
+    async with web(3) as world:
+        await world.get("/1/3/objects/1000")
+        for path in ("/api/v1/1/trace", "/api/v1/trace?seconds=3600&frames=5"):
+            answer = await world.http.get(path)
+            assert answer.status_code == 200
+            name = answer.headers["content-disposition"]
+            assert re.fullmatch(r'attachment; filename="cell-7-[\w.-]+-\d{8}T\d{6}Z\.log"', name), name
+            assert " 603#4000100000000000 T\n" in answer.text
+            assert answer.headers["content-type"].startswith("text/plain")
+            assert answer.headers["content-security-policy"]
+        assert answer.text.count("\n") == 5
+        await trio.sleep(0.1)
+        assert (await world.http.get("/api/v1/trace?seconds=0")).text == ""
+        odd = ["seconds=-1", "seconds=nan", "seconds=inf", "seconds=1e400", "seconds=", f"seconds={'1' * 900}"]
+        for query in (*odd, "frames=-1", f"frames={CAPACITY + 1}", "frames=x"):
+            assert (await world.http.get(f"/api/v1/trace?{query}")).status_code == 400, query
+
+
+@virtual_time
+async def test_so_many_traces_at_a_time_and_a_client_that_takes_none_is_cut_off() -> None:
+    async with web(3) as world, trio.open_nursery() as nursery:
+        await world.get("/1/3/objects/1000")
+        cut: list[BaseException] = []
+
+        async def hang() -> None:
+            async def ask() -> dict[str, object]:
+                await trio.sleep_forever()
+                return {}
+
+            asked = [{"type": "http.request", "body": b"", "more_body": False}]
+
+            async def receive() -> dict[str, object]:
+                return asked.pop() if asked else await ask()
+
+            try:
+                await world.raw("GET", "/api/v1/1/trace", receive, lambda message: None, hangs=True)
+            except* trio.TooSlowError as group:
+                cut.extend(group.exceptions)
+
+        for _ in range(MOST_TRACES):
+            nursery.start_soon(hang)
+        await trio.sleep(1)
+        refused = await world.http.get("/api/v1/1/trace")
+        assert (refused.status_code, refused.json()["error"]["code"]) == (503, "CO151")
+        await trio.sleep(SEND_SECONDS)
+        assert len(cut) == MOST_TRACES
+        assert (await world.http.get("/api/v1/1/trace")).status_code == 200

@@ -40,7 +40,8 @@ TOKENS = {
     BY_HEADER: BEARER,
 }
 READS, CHANGES = ("GET", "HEAD"), ("PUT", "POST", "DELETE", "PATCH", "OPTIONS")
-OPEN, GUARDED = ("/", "/page.js", "/apix"), ("/api/v1/state", "/api/v1/1/3/objects/1017", "/metrics", "/mcp")
+OPEN = ("/", "/page.js", "/apix")
+GUARDED = ("/api/v1/state", "/api/v1/1/3/objects/1017", "/api/v1/1/network", "/api/v1/trace", "/metrics", "/mcp")
 
 
 def expected(method: str, path: str, host: str, origin: str | None, token: str) -> int:
@@ -78,7 +79,7 @@ def test_the_whole_table() -> None:
         found = 0 if refusal is None else refusal.status
         assert found == expected(method, path, host, origin, token), (method, path, host, origin, token)
         count += 1
-    assert count == 8 * 7 * 8 * 7 * 5
+    assert count == 8 * 9 * 8 * 7 * 5
 
 
 def test_headers_that_come_twice_or_are_odd() -> None:
@@ -113,6 +114,10 @@ def test_the_usual_port_needs_no_number_and_tls_changes_the_origin() -> None:
 MODES = {"": set(), "write": {"write"}, "motion": {"motion"}, "nmt": {"nmt"}, "write,motion,nmt": {"write", "motion", "nmt"}}
 REQUESTS = (
     ("GET", "/api/v1/1/3/objects/1008", None, ""),
+    ("GET", "/api/v1/1/network", None, ""),
+    ("GET", "/api/v1/1/trace", None, ""),
+    ("GET", "/api/v1/trace", None, ""),
+    ("GET", "/api/v1/1/3/pdos", None, ""),
     ("PUT", "/api/v1/1/3/objects/1017", {"value": 300}, "write"),
     ("PUT", "/api/v1/1/3/objects/controlword", {"value": 0}, "motion"),
     ("PUT", "/api/v1/1/3/objects/6060", {"value": 0}, "motion"),

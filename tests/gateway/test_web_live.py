@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import random
 
 import pytest
 import trio
 
 from canopen_gateway import Limits
 from canopen_gateway.lease import LEASE_TIME
+from canopen_gateway.traffic.feed import MOST_ROWS
 from canopen_gateway.web.live import FLUSH, MAX_MESSAGE, WAITING
 from canopen_master import ChainState
 from canopen_proto.frame import Frame
@@ -40,6 +42,15 @@ async def test_a_page_is_told_what_is_there_and_what_happens() -> None:
         assert (lost["node"], lost["text"]) == (4, "its heartbeat is lost")
         async with world.page() as late:
             assert (await late.heard("hello"))["events"][-1]["text"] == "its heartbeat is lost"
+
+
+@virtual_time
+async def test_a_message_of_bytes_is_told_that_messages_are_text() -> None:
+    async with web(3) as world, world.page() as page:
+        page.say_bytes(b"\x00\x01")
+        assert "as text, not bytes" in (await page.heard("error"))["text"]
+        page.say("halt")
+        assert (await page.heard("halted"))["problems"] == []  # and the page goes on
 
 
 async def moving(world: WebWorld) -> None:
@@ -266,3 +277,111 @@ async def test_who_may_open_it() -> None:
                 assert one_too_many.closed == 1013
         async with world.page() as again:
             await again.heard("hello")
+
+
+@virtual_time
+async def test_a_monitor_shows_what_is_asked_for_counts_the_rest_and_ends_when_it_is_told_to() -> None:
+    async with web(3, 4) as world, world.page() as page:
+        page.say("monitor", net=1, nodes=[3], services=["sdo"])
+        await trio.sleep(0.2)
+        await world.get("/1/4/objects/1000")
+        await world.get("/1/3/objects/1000")
+        told = await page.heard("frames", lambda each: each["rows"])
+        assert {(row[0], row[3], row[4]) for row in told["rows"]} == {("frame", "SDO", 3)}
+        assert "device_type" in told["rows"][0][5]
+        assert told["seen"] >= 4
+        assert told["fitting"] == 2
+        page.say("monitor", on=False)
+        await trio.sleep(1)
+        page.messages.clear()
+        await world.get("/1/3/objects/1000")
+        await trio.sleep(1)
+        assert [each for each in page.messages if each["k"] == "frames"] == []
+        await moving(world)
+        page.say("monitor", net=BUS)
+        await trio.sleep(3)
+        frames = [each for each in page.messages if each["k"] == "frames"]
+        assert 15 <= len(frames) <= 31  # ten a second
+        assert max(len(each["rows"]) for each in frames) <= 2 * MOST_ROWS
+        assert (
+            frames[-1]["left_out"] + sum(len([row for row in each["rows"] if row[0] == "frame"]) for each in frames)
+            == frames[-1]["fitting"]
+        )
+        assert frames[-1]["left_out"] > 0  # 500 frames a second are more than anybody reads
+
+
+@virtual_time
+async def test_what_no_monitor_shows() -> None:
+    async with web(3) as world, world.page() as page:
+        wrong: list[dict[str, object]] = [
+            {"net": 9}, {"nodes": [0]}, {"nodes": [True]}, {"nodes": ["3"]}, {"nodes": 3}, {"services": ["fly"]},
+            {"services": [1]}, {"services": "sdo"}, {"nodes": [1e9]}, {"services": ["x" * 3000]},
+        ]  # fmt: skip
+        for fields in wrong:
+            page.say("monitor", **fields)
+            assert (await page.heard("error"))["about"] == "monitor", fields
+        for _ in range(50):
+            page.say("monitor")  # each in place of the one before
+        await trio.sleep(1)
+        assert len(world.service.traffic(BUS)._feeds) == 1
+
+
+@virtual_time
+async def test_a_monitor_whose_observer_has_failed_says_so() -> None:
+    async with web(3) as world, world.page() as page:
+        page.say("monitor")
+        await trio.sleep(0.5)
+        world.service.traffic(BUS).failure = ZeroDivisionError()
+        assert "not understood" in (await page.heard("error"))["text"]
+
+
+@virtual_time
+async def test_a_hung_page_with_a_monitor_delays_no_cycle() -> None:
+    """Five clients of a moving arm, one of them hung, each with a monitor and values: each SYNC comes, and when it is due."""
+    async with web(3, 4) as world:
+        await moving(world)
+        arm = world.service.master.chains["arm"]
+        async with (
+            world.page(reads=False) as hung,
+            world.page() as one,
+            world.page() as two,
+            world.page() as three,
+            world.page() as four,
+        ):
+            pages = [hung, one, two, three, four]
+            for page in pages:
+                page.say("monitor")
+                page.say("watch", objects=[PLACE, [1, 4, "6064:00"]], period=0.1)
+            before = arm.sync_cycles
+            await trio.sleep(5)
+            assert arm.sync_cycles - before == pytest.approx(500, abs=1)
+            assert (arm.missed_cycles, arm.skipped_cycles) == (0, 0)
+            for page in (one, two, three, four):
+                assert [each for each in page.messages if each["k"] == "values"]
+                assert [each for each in page.messages if each["k"] == "frames"]
+                assert page.pulse["chains"][0]["missed"] == 0
+
+
+KINDS = ("monitor", "commission", "answer", "watch", "jog", "move", "enable", "take", "renew", "halt", "fly", "")
+FIELDS = ("net", "node", "nodes", "services", "n", "question", "value", "name", "objects", "period", "chain", "on")
+VALUES: tuple[object, ...] = (
+    None, True, -1, 0, 1, 3, 127, 128, 1 << 70, 1.5, 1e300, "", "1", "3", "sdo", "arm", "\u202e", "<b>", "x" * 300, [], [3],
+    ["sdo"], [[1, 3, "6064:00"]], [None], {}, {"net": 1},
+)  # fmt: skip
+
+
+@virtual_time
+async def test_a_page_that_says_anything_is_answered_and_moves_nothing() -> None:
+    drawn = random.Random(27)
+    async with web(3, 4, allow="motion") as world, world.page() as page:
+        arm_of(world.service.master, 3, 4)
+        for _ in range(400):
+            fields = {name: drawn.choice(VALUES) for name in drawn.sample(FIELDS, drawn.randrange(6))}
+            page.say(drawn.choice(KINDS), **fields)
+            await trio.sleep(0.01)
+        page.messages.clear()
+        page.say("fly")
+        assert (await page.heard("error"))["about"] == "fly"  # it is still served
+        await trio.sleep(10)
+        assert not is_moving(world.host)
+        assert (await world.get("/lease"))["owner"] is None

@@ -14,8 +14,9 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,7 @@ def until(fits: Callable[[], Any]) -> Any:
     return found
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def new_browser() -> Any:
     options = Options()
     options.binary_location = CHROMIUM
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1400,1600", "--disable-gpu"):
@@ -64,6 +64,12 @@ def browser() -> Iterator[Any]:
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(DRIVER))
     driver.set_script_timeout(PATIENCE)
+    return driver
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    driver = new_browser()
     yield driver
     driver.quit()
 
@@ -173,6 +179,40 @@ def test_a_page_that_may_only_read(browser: Any) -> None:
         search.send_keys("1017")
         labelled(browser, "Watch producer_heartbeat_time (1017:00)")
         assert browser.find_elements(By.CSS_SELECTOR, '[aria-label^="Write"]') == []
+        # NMT commands are shown, and why they cannot be sent
+        buttons = browser.execute_script("return [...document.querySelectorAll('[data-nmt]')].map((each) => each.disabled)")
+        assert buttons == [True] * 5
+        assert "without --allow nmt" in text(browser, "#nmt-why")
+        assert "without --allow motion" in text(browser, "#commission-why")
+        assert browser.execute_script("return document.getElementById('commission-begin').disabled")
+        # Who sends what to whom: the devices are asked
+        browser.execute_script("document.getElementById('network-section').scrollIntoView()")
+        click(browser, one(browser, "#network-read"))
+        until(lambda: "4, TPDO 1" in text(browser, "#network"))
+        assert "statusword" in text(browser, "#network")
+        # The monitor: frames in words, of a service, until it is paused
+        browser.execute_script("arguments[0].value = 'heartbeat'", one(browser, "#monitor-service"))
+        click(browser, one(browser, "#monitor-on"))
+        until(lambda: "pre-operational" in text(browser, "#monitor-rows"))
+        assert "SDO" not in text(browser, "#monitor-rows")
+        click(browser, one(browser, "#monitor-on"))
+        assert text(browser, "#monitor-on") == "Show frames"
+        # What a device says is text there, too
+        browser.execute_script("arguments[0].value = 'sdo'", one(browser, "#monitor-service"))
+        click(browser, one(browser, "#monitor-on"))
+        browser.execute_script("setTimeout(() => fetch('/api/v1/1/4/objects/1008'), 500)")
+        until(lambda: EVIL[:20] in text(browser, "#monitor-rows"))
+        assert browser.execute_script("return document.querySelectorAll('img').length") == 0
+        click(browser, one(browser, "#monitor-on"))
+        # A trace, by the link of the page
+        traced = browser.execute_async_script(
+            """const done = arguments[0]; const link = document.getElementById("trace");
+            fetch(link.href).then((answer) => answer.text().then((body) => done([link.hasAttribute("download"),
+              answer.headers.get("content-disposition"), body])));"""
+        )
+        assert traced[0]
+        assert traced[1].endswith('.log"')
+        assert " 703#7F R" in traced[2]
         # An emergency, with its text
         machine.call(lambda: machine.drives.raise_fault(4, 0x2310))
         until(lambda: "0x2310" in text(browser, "#events"))
@@ -325,6 +365,107 @@ def test_a_hand_on_the_machine(browser: Any) -> None:
         browser.get_log("browser")
 
 
+NEXT = """const form = document.querySelector("#commission-question form");
+    if (form === null) return false;
+    const [input, select] = [form.querySelector("input"), form.querySelector("select")];
+    if (select !== null && select.options[0].value === "y") select.value = "y";
+    const yes = [...form.querySelectorAll("button")].find((each) => each.textContent === "Yes");
+    if (yes === undefined) form.requestSubmit(); else yes.click();
+    return true;"""
+"""Answers a question of the dialogue: yes, or its default."""
+
+
+@pytest.mark.thorough
+def test_a_drive_is_commissioned_and_a_reset_asks_before(browser: Any) -> None:
+    """From its identity to its homing, and two files to keep; then NMT, where "Cancel" sends nothing."""
+    with demonstration(browser) as (_, url):
+        visit(browser, url)
+        until(lambda: browser.find_elements(By.CSS_SELECTOR, "#commission-begin:enabled"))
+        for _ in range(5):  # a computer that is so busy that the lease ends has ended it, rightly
+            click(browser, one(browser, "#commission-begin:enabled"))
+            until(
+                lambda: (
+                    browser.execute_script(NEXT) is False and browser.find_elements(By.CSS_SELECTOR, "#commission-begin:enabled")
+                )
+            )
+            if "joint1.toml" in text(browser, "#commission-said"):
+                break
+        said = text(browser, "#commission-said")
+        assert "8. The first move" in said
+        assert {"Keep joint1.dcf", "Keep joint1.toml"} <= set(said.splitlines())
+        until(lambda: browser.find_elements(By.CSS_SELECTOR, "#jog .row button:enabled"))
+
+        def is_operational() -> bool:
+            return "operational" in text(browser, "#nodes tbody tr").split()
+
+        click(browser, one(browser, "[data-nmt=start]"))
+        until(is_operational)
+        click(browser, one(browser, "[data-nmt=stop]"))
+        assert "all nodes" in text(browser, "dialog h2")
+        click(browser, one(browser, "dialog button"))  # Cancel
+        until(lambda: not browser.find_elements(By.CSS_SELECTOR, "dialog"))
+        time.sleep(1)
+        assert is_operational()
+        click(browser, one(browser, "[data-nmt=reset-node]"))
+        click(browser, one(browser, "dialog button.warning"))
+        until(lambda: not is_operational())
+        silent(browser)
+
+
+@pytest.mark.thorough
+def test_a_browser_that_hangs_or_is_killed_moves_nothing() -> None:
+    """SIGSTOP to all of it, then SIGKILL, while a joint is held: it stands, and the lease is over."""
+    driver = new_browser()
+    processes: list[int] = []
+    try:
+        with demonstration(driver) as (_, url):
+            visit(driver, url)
+            hold(driver, lambda: press(driver, "mousePressed"))
+            processes = family(driver.service.process.pid)
+            send(signal.SIGSTOP, processes)
+            until(lambda: asked(url, "/lease")["owner"] is None)
+            until(lambda: asked(url, "/chains")[0]["state"] == "halted")
+            before = [joint["position"] for joint in asked(url, "/chains")[0]["joints"]]
+            time.sleep(1)
+            assert [joint["position"] for joint in asked(url, "/chains")[0]["joints"]] == before
+            send(signal.SIGCONT, processes)
+            until(lambda: text(driver, "#link") == "live")
+            hold(driver, lambda: press(driver, "mousePressed"))
+            processes = family(driver.service.process.pid)  # some have come meanwhile
+            send(signal.SIGKILL, processes)
+            until(lambda: asked(url, "/lease")["owner"] is None)
+            until(lambda: asked(url, "/chains")[0]["state"] == "halted")
+            processes = []
+    finally:
+        send(signal.SIGCONT, processes)
+        if processes:
+            driver.quit()
+        else:
+            driver.service.process.wait(10)
+
+
+def asked(url: str, path: str) -> Any:
+    """What the door answers a program."""
+    address, _, token = url.partition("/?token=")
+    request = urllib.request.Request(f"{address}/api/v1{path}", headers={"authorization": f"Bearer {token}"})
+    with urllib.request.urlopen(request, timeout=30) as answer:
+        return json.load(answer)
+
+
+def send(number: signal.Signals, processes: list[int]) -> None:
+    """Send a signal to each of these that is still there."""
+    for process in processes:
+        with suppress(ProcessLookupError):
+            os.kill(process, number)
+
+
+def family(pid: int) -> list[int]:
+    """A process and all that it has started, the eldest first."""
+    children = Path(f"/proc/{pid}/task").glob("*/children")
+    found = [int(each) for file in children for each in file.read_text(encoding="ascii").split()]
+    return [pid, *(each for child in found for each in family(child))]
+
+
 @pytest.mark.thorough
 @pytest.mark.skipif(AXE is None, reason="no axe-core here: CANOPEN_AXE names none")
 def test_axe_finds_no_fault(browser: Any) -> None:
@@ -338,6 +479,12 @@ def test_axe_finds_no_fault(browser: Any) -> None:
         click(browser, labelled(browser, "Watch position_actual_value (6064:00)"))
         until(lambda: "position_actual_value" in text(browser, "#legend"))
         until(lambda: browser.find_elements(By.CSS_SELECTOR, "#events li"))
+        browser.execute_script("document.getElementById('network-section').scrollIntoView()")
+        click(browser, one(browser, "#network-read"))
+        until(lambda: "TPDO 1" in text(browser, "#network"))
+        click(browser, one(browser, "#monitor-on"))
+        until(lambda: "pre-operational" in text(browser, "#monitor-rows"))
+        click(browser, one(browser, "#monitor-on"))
         for scheme in ("light", "dark"):
             features = [{"name": "prefers-color-scheme", "value": scheme}]
             browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})

@@ -15,6 +15,8 @@ from canopen_gateway import GatewayService, Limits
 from canopen_gateway.web.api import WebApi, web_app
 from canopen_gateway.web.guard import WebGuard
 from canopen_gateway.web.live import LiveHub
+from canopen_gateway.web.machine_subject import MachineSubject
+from canopen_gateway.web.subject import WebSubject
 from canopen_master import Host
 from tests.gateway.gateway_world import gateway
 
@@ -26,15 +28,11 @@ NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
 @dataclass
-class WebWorld:
-    """host: of the drives. http: shows the token as a program does."""
+class WebClients:
+    """Clients of a web door. http: shows the token as a program does."""
 
-    host: Host
-    service: GatewayService
-    hub: LiveHub
-    app: WebGuard
     http: httpx.AsyncClient
-    nursery: trio.Nursery
+    app: WebGuard
 
     async def get(self, path: str, **headers: str) -> Any:
         """The answer of a path below /api/v1, which has to be good."""
@@ -81,13 +79,15 @@ class WebWorld:
 
 
 class PageClient:
-    """The other end of a WebSocket. closed: the code with which the door closed it. messages: all that came, but pulses."""
+    """The other end of a WebSocket. closed: the code with which the door closed it. messages: all that came, but pulses. delay:
+    seconds that each message takes."""
 
     def __init__(self, reads: bool) -> None:
         self.begun, self.ended = trio.Event(), trio.Event()
         self.closed: int | None = None
         self.messages: list[dict[str, Any]] = []
         self.pulse: dict[str, Any] = {}
+        self.delay = 0.0
         self._reads = reads
         self._came = trio.Condition()
         self._number = 0
@@ -113,6 +113,8 @@ class PageClient:
         elif message["type"] == "websocket.send":
             if not self._reads:
                 await trio.sleep_forever()
+            if self.delay:
+                await trio.sleep(self.delay)
             found = json.loads(message["text"])
             async with self._came:
                 if found["k"] == "pulse":
@@ -125,6 +127,9 @@ class PageClient:
 
     def say(self, kind: str, **fields: Any) -> None:
         self._put.send_nowait({"type": "websocket.receive", "text": json.dumps({"k": kind, **fields})})
+
+    def say_bytes(self, data: bytes) -> None:
+        self._put.send_nowait({"type": "websocket.receive", "bytes": data})
 
     def say_text(self, text: str) -> None:
         self._put.send_nowait({"type": "websocket.receive", "text": text})
@@ -158,23 +163,37 @@ class PageClient:
                 return self.pulse
 
 
+@dataclass
+class WebWorld(WebClients):
+    """host: of the drives."""
+
+    host: Host
+    service: GatewayService
+    hub: LiveHub
+    nursery: trio.Nursery
+
+
 @asynccontextmanager
 async def web(
     *node_ids: int, allow: str = "", limits: Limits | None = None, beats: bool = True, **options: Any
 ) -> AsyncIterator[WebWorld]:
     """A web door over drives on a virtual bus. beats: the drives send heartbeats."""
     async with gateway(*node_ids, allow=allow, limits=limits, **options) as (host, service):
-        hub = LiveHub(service, clock=lambda: 1000.0)
         with service.open_session("the web door") as session:
-            app = WebGuard(web_app(WebApi(service, hub, session)), token=TOKEN, names=NAMES, port=8402)
-            transport = httpx.ASGITransport(app)  # type: ignore[arg-type]
-            async with (
-                httpx.AsyncClient(transport=transport, base_url=ORIGIN, headers=BEARER) as http,
-                trio.open_nursery() as nursery,
-            ):
-                nursery.start_soon(hub.run)
+            async with page_over(MachineSubject(service, session)) as (hub, app, http, nursery):
                 for node_id in node_ids if beats else ():
                     await service.node(service.nets[0], node_id).write("producer_heartbeat_time", 500)
                 await trio.sleep(1)
-                yield WebWorld(host, service, hub, app, http, nursery)
-                nursery.cancel_scope.cancel()
+                yield WebWorld(http, app, host, service, hub, nursery)
+
+
+@asynccontextmanager
+async def page_over(subject: WebSubject) -> AsyncIterator[tuple[LiveHub, WebGuard, httpx.AsyncClient, trio.Nursery]]:
+    """A web door over anything that it may show."""
+    hub = LiveHub(subject, clock=lambda: 1000.0)
+    app = WebGuard(web_app(WebApi(hub, "cell 7")), token=TOKEN, names=NAMES, port=8402)
+    transport = httpx.ASGITransport(app)  # type: ignore[arg-type]
+    async with httpx.AsyncClient(transport=transport, base_url=ORIGIN, headers=BEARER) as http, trio.open_nursery() as nursery:
+        nursery.start_soon(hub.run)
+        yield hub, app, http, nursery
+        nursery.cancel_scope.cancel()

@@ -20,7 +20,7 @@ def test_each_kind_of_case_runs_and_both_sides_agree() -> None:
         "SDO block upload of 64 KiB (Networks)",
         "SDO block download of 64 KiB (machines)",
     )
-    things = ("SDO expedited upload", *large, "PDO decode", "heartbeat")
+    things = ("SDO expedited upload", *large, "PDO decode", "heartbeat", "in their place")
     command = [sys.executable, str(RUN), *things, "--rounds", "1", "--seconds", "0.001"]
     finished = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert finished.returncode == 0, finished.stderr
@@ -44,6 +44,7 @@ def test_each_goal_names_cases_that_there_are(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(goals.imports, "over_bare", lambda program: 42.0)
     monkeypatch.setattr(goals.chain_cycle, "cycle", lambda joints, cycle_time: 250_000.0)
     monkeypatch.setattr(run.motions, "tables", lambda rounds: "| what motions cost |")
+    monkeypatch.setattr(run.memory, "table", lambda: "| memory |")
     results = [measure.Result(case.title, [2.0], [4.6]) for module in run.MODULES for case in module.cases()]
     text = run.report(results, 1, 0.1, with_goals=True)
     rows = [line for line in text.splitlines() if any(goal.work in line for goal in goals.GOALS)]
@@ -80,6 +81,8 @@ def test_a_case_that_fails_is_told_in_its_row_and_ends_no_other(
     monkeypatch.setattr(goals.imports, "over_bare", over)
     monkeypatch.setattr(motions.chain_cycle, "cycle", cycle)
     monkeypatch.setattr(motions, "once", lambda joints, rounds: ("1", "2", "3") if joints == 6 else over())
+    monkeypatch.setattr(run.memory, "of_a_node", over)
+    monkeypatch.setattr(run.memory, "of_an_object", lambda read: 100.0)
     cases = [case for module in run.MODULES for case in module.cases()]
     broken = next(case for case in cases if case.title == "PDO decode, 4 objects (RemoteNode)")
     results = [measure.Result(case.title, [2.0], [4.6]) for case in cases if case is not broken]
@@ -92,6 +95,8 @@ def test_a_case_that_fails_is_told_in_its_row_and_ends_no_other(
     assert f"| 30 joints along a path | {said} | {said} | {said} |" in rows
     assert f"| a re-plan while the joints move | 1 | {said} | {said} |" in rows
     assert [row for row in rows if row.startswith("| 12 joints along a path | 25.0 % |")]
+    assert f"| a node with a TPDO (RemoteNode) | {said} | | |" in rows
+    assert "| an object of an EDS, of 2000 | 100 bytes | 100 bytes | **1.0** |" in rows
     assert "the path was over\nat 3 s" in capsys.readouterr().err
     monkeypatch.setattr(
         run, "MODULES", (type("Module", (), {"cases": staticmethod(lambda: [measure.Case("bad", over, over, over)])}),)

@@ -11,7 +11,7 @@ import importlib
 import inspect
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,10 +53,10 @@ def code_of(cell: str) -> str:
     return "" if rest.strip() else "\n".join(re.findall(r"`([^`]+)`", cell))
 
 
-def rows() -> list[Row]:
-    """The rows of the page in order, the imports first."""
+def rows(text: str) -> list[Row]:
+    """The rows of a part of the page in order, the imports first."""
     found = []
-    for line in (DOCS / "from-canopen.md").read_text(encoding="utf-8").splitlines():
+    for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split(" | ")]
         if line.startswith("| `import"):
             found.append(Row("imports", code_of(cells[0]), code_of(cells[1])))
@@ -66,7 +66,8 @@ def rows() -> list[Row]:
     return found
 
 
-ROWS = rows()
+ASYNC_PART, _, BLOCKING_PART = (DOCS / "from-canopen.md").read_text(encoding="utf-8").partition("\n## Without async\n")
+ROWS, BLOCKING = rows(ASYNC_PART), rows(BLOCKING_PART)
 
 
 class Served:
@@ -110,18 +111,28 @@ class Served:
                 await trio.sleep(0.05)
 
 
-def run_theirs(channel: str) -> list[Any]:
+def run_theirs(channel: str, rows: Sequence[Row] = ROWS) -> list[Any]:
     """Run the left cells; return the `value` of each row."""
+    return run_cells([(row.task, row.theirs) for row in rows], channel)
+
+
+def run_blocking(channel: str) -> list[Any]:
+    """Run the right cells of the part without async; return the `value` of each row."""
+    return run_cells([(row.task, row.ours) for row in BLOCKING], channel)
+
+
+def run_cells(cells: Sequence[tuple[str, str]], channel: str) -> list[Any]:
     scope: dict[str, Any] = {}
     values = []
-    for row in ROWS:
-        code = row.theirs.replace('interface="socketcan", channel="can0"', f'interface="virtual", channel="{channel}"')
+    for task, cell in cells:
+        code = cell.replace('"socketcan:can0"', repr(f"pythoncan:virtual:{channel}"))
+        code = code.replace('interface="socketcan", channel="can0"', f'interface="virtual", channel="{channel}"')
         code = re.sub(r'"(sample_\w+\.eds)"', lambda found: repr(str(SAMPLES / found[1])), code)
         scope["value"] = NOTHING
         try:
-            exec(compile(code, row.task, "exec"), scope)
+            exec(compile(code, task, "exec"), scope)
         except Exception as error:
-            error.add_note(f"{row.task}: {code}")
+            error.add_note(f"{task}: {code}")
             raise
         values.append(scope["value"])
     return values
@@ -150,6 +161,25 @@ async def run_ours(locator: str) -> list[Any]:
     return values
 
 
+def until_all_answered(lss: Any) -> float:
+    """How long the peer waits for an LSS answer: none comes any more once the I/O device has answered a later request.
+
+    All devices are of one host, which answers in order, and so does the peer's thread hear. A time would be too short under load.
+    """
+    answered = threading.Event()
+
+    def hear(*_: object) -> None:
+        answered.set()
+
+    lss.network.subscribe(0x585, hear)
+    try:
+        lss.network.send_message(0x605, bytes.fromhex("4000100000000000"))
+        assert answered.wait(LIMIT)
+    finally:
+        lss.network.unsubscribe(0x585, hear)
+    return 0.0
+
+
 @pytest.fixture(scope="module")
 def values() -> tuple[list[Any], list[Any]]:
     """What each row found, with `canopen` and here."""
@@ -157,10 +187,23 @@ def values() -> tuple[list[Any], list[Any]]:
     served = Served(channel)
     with pytest.MonkeyPatch.context() as patch, served.running():
         patch.setattr(canopen, "BaseNode402", PatientNode402, raising=False)
-        patch.setattr(canopen.lss.LssMaster, "RESPONSE_TIMEOUT", 0.05)
+        patch.setattr(canopen.lss.LssMaster, "RESPONSE_TIMEOUT", property(until_all_answered))
         theirs = run_theirs(channel)
         ours = trio.run(functools.partial(run_ours, served.locator))
     return theirs, ours
+
+
+@pytest.fixture(scope="module")
+def values_without_async() -> tuple[list[Any], list[Any]]:
+    """The same of the part without async, each with devices of its own."""
+    found = []
+    runs: tuple[Callable[[str], list[Any]], ...] = (lambda channel: run_theirs(channel, BLOCKING), run_blocking)
+    for run in runs:
+        channel = new_channel()
+        with pytest.MonkeyPatch.context() as patch, Served(channel).running():
+            patch.setattr(canopen, "BaseNode402", PatientNode402, raising=False)
+            found.append(run(channel))
+    return found[0], found[1]
 
 
 class PatientNode402(BaseNode402):
@@ -179,15 +222,26 @@ def test_a_row_does_the_same_here_as_with_canopen(values: tuple[list[Any], list[
     assert ("value =" in row.theirs) == (theirs is not NOTHING)
 
 
+@pytest.mark.parametrize("number", range(len(BLOCKING)), ids=[row.task for row in BLOCKING])
+def test_a_row_without_async_does_the_same(values_without_async: tuple[list[Any], list[Any]], number: int) -> None:
+    theirs, ours = (each[number] for each in values_without_async)
+    row = BLOCKING[number]
+    assert row.theirs
+    assert row.ours
+    assert theirs == ours
+    assert ("value =" in row.theirs) == (theirs is not NOTHING)
+
+
 def test_the_table_has_each_part_of_their_interface() -> None:
     theirs = "\n".join(row.theirs for row in ROWS)
     parts = "Network() scanner add_node sdo[ nmt. tpdo rpdo emcy sync time.transmit lss 402 LocalNode import_od disconnect"
     assert [part for part in parts.split() if part not in theirs] == []
     assert len(ROWS) > 35
+    assert len(BLOCKING) > 12
 
 
 def test_the_page_imports_public_names_only() -> None:
-    for statement in ast.parse(ROWS[0].ours).body:
+    for statement in (*ast.parse(ROWS[0].ours).body, *ast.parse(BLOCKING[0].ours).body):
         if isinstance(statement, ast.ImportFrom) and str(statement.module).startswith("canopen_"):
             public = importlib.import_module(str(statement.module)).__all__
             assert [each.name for each in statement.names if each.name not in public] == []

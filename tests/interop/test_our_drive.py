@@ -83,6 +83,7 @@ POSITIVE_HOME = replace(SHORT, home_switch=(2_000, math.inf))
 NEGATIVE_HOME = replace(SHORT, home_switch=(-math.inf, 2_000))
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(
     ("track", "methods"),
     [
@@ -215,7 +216,7 @@ def test_each_mode_that_the_peer_knows_is_driven() -> None:
     assert {*MOTIONS, "HOMING", "NO MODE"} == {*OperationMode.NAME2CODE}
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("mode", MOTIONS)
 def test_the_peer_drives_our_drive_in_each_mode(drive: Rig, mode: str) -> None:
     move, before = MOTIONS[mode]

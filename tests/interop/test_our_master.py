@@ -78,6 +78,7 @@ def test_a_field_of_an_array(rig: Rig) -> None:
     assert rig.device.sdo[0x1016][2].raw == 0x90064
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("size", [1, 4, 5, 6, 7, 8, 14, 20, 889, 5000])
 def test_segmented_transfers_of_any_size(rig: Rig, size: int) -> None:
     driver, sdo = rig.driver, rig.remote.sdo

@@ -48,7 +48,7 @@ def test_wireshark_reads_ours(tmp_path: Path) -> None:
         assert int(remote) == bool(record.frame.flags & REMOTE)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(("kind", "unit"), [("pcap", 1000), ("nsecpcap", 1), ("pcapng", 1)])
 def test_we_read_wiresharks(kind: str, unit: int, tmp_path: Path) -> None:
     target = tmp_path / f"b.{kind.removeprefix('nsec')}"
@@ -60,7 +60,7 @@ def test_we_read_wiresharks(kind: str, unit: int, tmp_path: Path) -> None:
         assert back == [Record(each.time // unit * unit, "can0", each.frame) for each in RECORDS]
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("link_type", [113, 276])
 def test_wireshark_sees_a_cooked_capture_as_we_do(link_type: int, order: str, tmp_path: Path) -> None:

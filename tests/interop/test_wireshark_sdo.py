@@ -172,6 +172,7 @@ def in_segments(packets: list[Packet]) -> bytes:
     return b"".join(packet["sdo.data.bytes"][: 7 - packet["sdo.n"]] for packet in packets)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("size", SIZES)
 def test_downloads(read: Reading, size: int) -> None:
     (initiate, *segments), (confirmed, *acknowledged) = split(read(DOWNLOADS[size]))

@@ -228,7 +228,7 @@ def frames_to_lose() -> list[int]:
     return kept
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("part", range(4))
 def test_any_frame_may_be_lost(part: int) -> None:
     """No two nodes get one ID, and each device has what the result says, in its memory too, or stands in it as unfinished."""
@@ -245,6 +245,7 @@ def test_any_frame_may_be_lost(part: int) -> None:
         assert bench.none_is_selected, lost
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_many_devices_on_a_bad_bus(seed: int) -> None:
     addresses = random_addresses(4, seed, TYPE)
@@ -352,6 +353,7 @@ def test_each_device_has_its_node_id_for_good_or_is_named(
     assert bench.bus.now - begun <= (len(bench.slaves) + 1) * (LIMIT + GIVEN_WITHIN)
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(("loss", "seed", "within"), [(0.02, 2, 120), (0.1, 2, 240), (0.1, 3, 240)])
 def test_eight_devices_on_a_bus_that_loses_frames_get_their_ids_within_minutes(loss: float, seed: int, within: int) -> None:
     """With the window that a real bus has. The first ones have theirs before the last one is found."""

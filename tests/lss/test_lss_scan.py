@@ -51,6 +51,7 @@ def test_numbers_at_the_ends_of_their_range(number: int) -> None:
     assert bench.run(survey(bench.tool, bench.pace)).found == [address]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("count", "seed"), [(1, 1), (1, 2), (3, 3), (3, 4), (20, 5)])
 def test_a_survey_finds_all_devices_without_a_node_id(count: int, seed: int) -> None:
     addresses = random_addresses(count, seed)
@@ -83,6 +84,7 @@ def test_nobody_is_there() -> None:
     assert bench.bus.now < 50 * QUICK
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seed", range(8))
 def test_any_answers_may_be_lost_or_come_late(seed: int) -> None:
     addresses = random_addresses(3, seed, TYPE[:2])
@@ -99,7 +101,7 @@ def test_one_slow_device_among_quick_ones(late: Time) -> None:
     assert bench.run(survey(bench.tool, bench.pace, (*TYPE[:2], None, None))).found == sorted(addresses)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("frame", range(84))
 def test_any_one_frame_may_be_lost(frame: int) -> None:
     addresses = [LssAddress(*TYPE, 0x1234_5678), LssAddress(*TYPE, 0x9234_5678)]
@@ -179,6 +181,7 @@ def test_a_search_finds_all_devices_of_a_type_with_and_without_a_node_id() -> No
         bench.run(search(bench.tool, bench.pace, -1, 1))
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_search_loses_nobody_though_frames_are_lost(seed: int) -> None:
     """Or it says so."""

@@ -197,6 +197,7 @@ def test_nodes_that_come_late(assignment: int, boot_time: int, late: int, letter
     assert boot.is_started
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("assignment", [MANDATORY, OPTIONAL, KEPT, OPTIONAL & ~4, MANDATORY & ~4])
 @pytest.mark.parametrize("startup", [0x01, 0x03, 0x11, 0x41])
 def test_a_lost_node_has_one_reaction(assignment: int, startup: int) -> None:

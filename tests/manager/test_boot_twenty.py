@@ -55,7 +55,7 @@ FAULTS: list[tuple[str, dict[Object, Answer]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("startup", [1, 3])
 @pytest.mark.parametrize(("letter", "answers"), FAULTS)
 def test_one_of_twenty_fails_in_any_step(letter: str, answers: dict[Object, Answer], startup: int) -> None:

@@ -124,11 +124,11 @@ def test_a_device_that_is_not_there() -> None:
 
 
 def test_each_frame_may_get_lost() -> None:
-    """Nearly always the download repairs it itself; the next call does in any case."""
+    """Nearly always the download repairs it itself; the next call does in any case. Every day each second frame."""
     bench = FlashBench()
     bench.flash(IMAGE, expected_id=ID)
     total, failures = bench.bus.count, 0
-    for number in range(total):
+    for number in range(0, total, 1 if takes_all() else 2):
         bench = FlashBench(lose={number})
         try:
             bench.flash(IMAGE, expected_id=ID)

@@ -183,6 +183,7 @@ def test_done_means_that_the_new_program_was_seen_or_that_nothing_was_verified(
     judge(ways, is_known, unverified, confirm)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("is_known", [False, True])
 @pytest.mark.parametrize("ways", [Ways(trial=True), Ways(trial=True, identity="absent", version="running")])
 def test_the_power_may_fail_at_any_frame_of_the_last_looks(ways: Ways, is_known: bool) -> None:

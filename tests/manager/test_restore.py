@@ -213,6 +213,7 @@ def count_writes() -> int:
 WRITES = count_writes()
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("at", range(1, WRITES + 1))
 def test_refused_at_any_write(at: int) -> None:
     bench, values = changed()
@@ -230,6 +231,7 @@ def test_refused_at_any_write(at: int) -> None:
     assert is_as_before(bench, values)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("at", range(1, WRITES + 1))
 def test_silent_at_any_write(at: int) -> None:
     bench, values = changed()
@@ -243,6 +245,7 @@ def test_silent_at_any_write(at: int) -> None:
     assert_nothing_half_done(bench, so_far)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("at", range(WRITES + 1))
 def test_cancelled_at_any_write(at: int) -> None:
     bench, values = changed()

@@ -181,7 +181,7 @@ def test_who_is_not_to_be_watched_is_not_watched() -> None:
     assert boot.report(bench.bus.now).unsupervised == (6,)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("now", [0, 200, 1000, 65535])
 @pytest.mark.parametrize("before", [50, 200, 40000, 65535])
 def test_a_node_that_answers_is_not_lost_whatever_its_heartbeats_do(before: int, now: int) -> None:

@@ -14,9 +14,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 LIMIT = 800.0
+"""Seconds for all ends of a script."""
+LIMIT_OF_ONE = 400
+"""Seconds for one end, which then says where each of its threads waits; 60 s for the start of its homing."""
 
-_HEAD = """
-import json, os, signal, sys, threading, time
+_HEAD = f"""
+import faulthandler, json, os, signal, sys, threading, time
 import can
 import canopen_master.simulation.host, canopen_proto.simulation.drive.node, canopen_transports.python_can
 from canopen_master import blocking, direct as canopen
@@ -24,7 +27,7 @@ from canopen_master.blocking import classes
 from canopen_master.simulation import powerballs
 
 AT_ONCE = 4  # they wait most of the time, but a computer is small
-children, ended = {}, {}
+children, ended = {{}}, {{}}
 
 def wait_for_one():
     child, status = os.wait()
@@ -36,7 +39,8 @@ for name, end in json.loads(sys.argv[1]).items():
     child = os.fork()
     if not child:
         for stream, number in (("out", 1), ("err", 2)):
-            os.dup2(os.open(f"{name}.{stream}", os.O_CREAT | os.O_WRONLY, 0o600), number)
+            os.dup2(os.open(f"{{name}}.{{stream}}", os.O_CREAT | os.O_WRONLY, 0o600), number)
+        faulthandler.dump_traceback_later({LIMIT_OF_ONE}, exit=True)
         break
     children[child] = name
 else:  # the one that read in the modules, once for all
@@ -47,12 +51,18 @@ else:  # the one that read in the modules, once for all
 
 BUS = "pythoncan:virtual:script"
 
-homes = threading.Event()
+class Homing(threading.Event):
+    def wait(self):
+        if not super().wait(60):
+            os.write(2, b"not within 60 s: the frame that starts the homing")
+            os._exit(99)
+
+homes = Homing()
 
 def listen(bus=can.Bus("script", interface="virtual")):
     while True:
         message = bus.recv()
-        sys.stdout.write(f"{message.arbitration_id:03X}#{message.data.hex().upper()}\\n")
+        sys.stdout.write(f"{{message.arbitration_id:03X}}#{{message.data.hex().upper()}}\\n")
         if message.arbitration_id == 0x60C and message.data[:6] == bytes.fromhex("2B4060001F00"):  # bit 4: homing starts
             homes.set()
 

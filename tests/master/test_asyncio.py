@@ -47,6 +47,7 @@ async def check(host: Host) -> None:
     await assert_all_stand(host)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seconds", TIMES)
 def test_a_timeout_of_asyncio_around_the_master(seconds: float) -> None:
     async def test() -> None:
@@ -59,6 +60,7 @@ def test_a_timeout_of_asyncio_around_the_master(seconds: float) -> None:
     run(test)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seconds", TIMES)
 def test_a_timeout_of_asyncio_within_the_master(seconds: float) -> None:
     async def test() -> None:
@@ -77,7 +79,7 @@ def test_a_timeout_of_asyncio_within_the_master(seconds: float) -> None:
     run(test)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("again", [None, 0.0, 0.001, 0.02])
 @pytest.mark.parametrize("seconds", TIMES)
 def test_a_task_that_is_cancelled_from_outside_once_or_again(seconds: float, again: float | None) -> None:
@@ -101,6 +103,7 @@ def test_a_task_that_is_cancelled_from_outside_once_or_again(seconds: float, aga
     run(test)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seconds", TIMES)
 def test_a_task_group_that_fails_beside_the_master(seconds: float) -> None:
     async def test() -> None:
@@ -121,6 +124,7 @@ def test_a_task_group_that_fails_beside_the_master(seconds: float) -> None:
     run(test)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seconds", TIMES)
 def test_a_task_group_within_the_master_moves_two_arms_and_one_fails(seconds: float) -> None:
     async def test() -> None:
@@ -203,7 +207,7 @@ def test_an_async_generator_that_is_forgotten_when_the_program_ends(caplog: pyte
 # ---- Ctrl-C ----
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("times", [1, 2, 3])
 @pytest.mark.parametrize("seconds", TIMES)
 def test_ctrl_c_in_the_middle_of_a_turn_waits_for_its_end(monkeypatch: pytest.MonkeyPatch, seconds: float, times: int) -> None:

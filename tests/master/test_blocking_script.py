@@ -20,12 +20,24 @@ arm.initialise()
 arm.follow()
 far = [arm.positions[0] + 5.0]
 
+over = []
+
+def move_far():
+    try:
+        arm.move(far)
+        over.append("at its target")
+    except BaseException as error:
+        over.append(f"with {error!r}")
+        raise
+
 def moves():
     while not devices.moving:
+        if over:
+            raise RuntimeError(f"the move ended {over[0]} before a drive was seen to move")
         time.sleep(0.005)
 
 def move():
-    threading.Thread(target=arm.move, args=(far,), daemon=True).start()
+    threading.Thread(target=move_far, daemon=True).start()
     moves()
 
 sys.stdout.write("moving\\n")
@@ -36,8 +48,8 @@ ENDS: dict[str, tuple[Any, ...]] = {
     "exception": ("raise RuntimeError('a mistake')", 1),
     "exit": ("sys.exit(7)", 7),
     "interrupt": ("os.kill(os.getpid(), signal.SIGINT); time.sleep(30)", -2),
-    "interrupt of a call": ("press_ctrl_c(1, moves); arm.move(far); time.sleep(30)", -2),
-    "interrupts of a call, without end": ("press_ctrl_c(40, moves); arm.move(far); time.sleep(30)", -2),
+    "interrupt of a call": ("press_ctrl_c(1, moves); move_far(); time.sleep(30)", -2),
+    "interrupts of a call, without end": ("press_ctrl_c(40, moves); move_far(); time.sleep(30)", -2),
     "interrupts of the script's end": ("press_ctrl_c(40, lambda: time.sleep(0.03))", 0, -2),
     "interrupts of the block's end": ("move(); press_ctrl_c(40, lambda: None); master.close()", -2),
     "thread left": ("move()", 0),

@@ -7,7 +7,7 @@ import pytest
 from tests.master.blocking_threads import judge, program
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("number", range(3))
 def test_nothing_hangs_every_drive_stands_and_every_answer_is_the_answer_to_its_own_question(number: int) -> None:
     answers, interrupts = judge(program(number))

@@ -157,7 +157,7 @@ async def test_a_joint_that_limits_its_acceleration_catches_up_after_a_late_set_
 # ---- slow joints ----
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("kind", KINDS)
 @virtual_time
 async def test_a_slow_joint_follows_and_halts(kind: str) -> None:
@@ -186,7 +186,7 @@ async def test_a_slow_joint_follows_and_halts(kind: str) -> None:
         await arm.shut_down()
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("kind", KINDS)
 @virtual_time
 async def test_a_slow_joint_that_stops_is_seen_after_its_lag(kind: str) -> None:
@@ -267,7 +267,7 @@ async def test_slow_answers_do_not_delay_the_cycle() -> None:
         await arm.shut_down()
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("kind", [each for each in KINDS if each.startswith(("target and", "by an RPDO", "all by SDO"))])
 @pytest.mark.parametrize("ending", ["left", "halt()"])
 @virtual_time

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_master.commissioning import DriveCommissioning, commissioned_machine
+from canopen_master.commissioning import DriveCommissioning, commissioned_machine, commissioned_name
 from canopen_master.errors import NodeIsNoDriveError
 from canopen_master.machine_file import machine_text, parse_machine
 from canopen_master.session import open_master
 from canopen_master.simulation.device_files import models_of
 from canopen_master.simulation.plant import DeviceEntry
 from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_devices
+from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
@@ -92,7 +93,39 @@ def test_a_machine_with_the_joint_keeps_its_names() -> None:
     settings = machine.joints["wrist"].settings
     made = commissioned_machine(machine, "main", 3, "other", settings, file="drive.eds")
     assert list(made.joints) == ["wrist"]
+    assert commissioned_name(machine, "main", 3, "other") == "wrist"
+    assert commissioned_name(None, "main", 3, "other") == "other"
     assert made.nodes["n3"].device.file == "drive.eds"
     added = commissioned_machine(machine, "main", 4, "elbow", settings)
     assert list(added.joints) == ["wrist", "elbow"]
     assert added.nodes["elbow"].node_id == 4
+
+
+def test_a_name_of_another_drive_or_node_leaves_that_one_alone() -> None:
+    machine = parse_machine(
+        """
+        [buses.can0]
+        [buses.can1]
+        [nodes]
+        drive3 = { id = 3, bus = "can0" }
+        lamp = { id = 9, bus = "can0" }
+        [joints]
+        drive3 = { node = "drive3", counts_per_unit = 10 }
+        [chains.arm]
+        joints = ["drive3"]
+        """
+    )
+    settings = AxisSettings(counts_per_unit=1000.0)
+    for name, bus, node_id in (("drive3", "can1", 3), ("lamp", "can0", 4)):
+        made = commissioned_machine(machine, bus, node_id, name, settings)
+        free = commissioned_name(machine, bus, node_id, name)
+        assert free == f"{name}-2"
+        assert made.joints[free].settings == settings
+        assert {each: made.nodes[each] for each in machine.nodes} == machine.nodes
+        assert {each: made.joints[each] for each in machine.joints} == machine.joints
+        node = made.node_at(bus, node_id)
+        assert node is not None
+        joint = made.joint_on(node)
+        assert joint is not None
+        assert joint.settings == settings
+        assert parse_machine(machine_text(made)).chains == machine.chains

@@ -62,6 +62,7 @@ def until_moved(arm: Devices, distance: int) -> Callable[[], bool]:
     return held
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("speed", [SPEED, -SPEED])
 def test_a_drive_moves_while_it_is_held_and_then_stands(session: Session, arm: Devices, speed: float) -> None:
     start = place(arm)
@@ -157,7 +158,7 @@ def test_a_joint_without_methods_homes_in_its_own_way(session: Session, arm: Dev
     assert abs(session.get_pos(12)) <= 5
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("gap", [0.045, 0.15, 0.19])
 @pytest.mark.parametrize("brake", [10_000, 100_000])
 def test_behind_a_gap_of_sync_a_drive_goes_on_from_where_it_is(gap: float, brake: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -222,6 +222,7 @@ def test_a_script_that_stops_names_how_late_our_own_sync_was(turns: Sequence[Tur
     run()
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("waits", [False, True])
 def test_a_drive_that_comes_back_to_its_path_has_a_whole_interval_for_each_step(waits: bool) -> None:
     """A script that makes up for lost time sends SYNC early, cycle after cycle: steps at the speed limit were too fast then."""

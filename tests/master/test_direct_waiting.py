@@ -31,7 +31,7 @@ ENDS = {
 }
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("way", ENDS)
 @virtual_time
 async def test_a_sync_that_comes_late_undoes_nothing(way: str) -> None:

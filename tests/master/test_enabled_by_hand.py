@@ -137,6 +137,7 @@ async def test_the_drive_is_halted_though_it_does_not_answer_any_more(is_drive: 
         assert speed(host) == 0
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("command", COMMANDS)
 @virtual_time
 async def test_what_was_enabled_and_disabled_by_hand_has_what_it_had_before(command: Command) -> None:

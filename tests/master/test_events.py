@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from canopen_master import BusError, MasterClosedError, NodeSilentError, Subscription, open_master, powerballs
-from canopen_master.participant.subscription import QUEUE_SIZE
+from canopen_master.participant.subscription import HANDED_OVER, QUEUE_SIZE
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
@@ -92,11 +92,102 @@ async def test_each_of_two_tasks_that_share_a_subscription_gets_an_event() -> No
 @virtual_time
 async def test_subscriptions_end_with_the_master() -> None:
     async with open_master(BUS) as master:
-        events = master.events(SyncSent, bus=BUS)
+        events, other = master.events(SyncSent, bus=BUS), master.events(SyncSent)
         await master.send_sync()
     assert await events.receive() == SyncSent(0, None, 0)
     with pytest.raises(MasterClosedError):
         await events.receive()
+    assert await other.receive_batch() == [SyncSent(0, None, 0)]
+    with pytest.raises(MasterClosedError):
+        await other.receive_batch()
+
+
+@virtual_time
+async def test_batches_have_all_that_came_in_order_and_a_cancelled_wait_takes_none() -> None:
+    async with open_master(BUS) as master, VirtualTransport("test") as device, loop.open_nursery() as nursery:
+        heard: list[list[int]] = []
+
+        async def listen() -> None:
+            async for batch in events.batches():
+                heard.append([each.node_id for each in batch])
+                if len(heard) == 3:
+                    break
+
+        def send(*node_ids: int) -> None:
+            for node_id in node_ids:
+                device.send_nowait(Frame(0x700 + node_id, b"\x05"))
+
+        with master.events(HeartbeatReceived) as events:
+            for node_id in range(1, 8):
+                master.node(node_id)
+            with loop.move_on_after(1) as scope:
+                await events.receive_batch()
+            assert scope.cancelled_caught
+            send(1, 2)
+            nursery.start_soon(listen)  # these two are there when it begins
+            await settled()
+            send(3, 4, 5)  # it waits for these
+            await settled()
+            send(6)
+            await settled()
+            send(7)
+            await settled()
+            assert heard == [[1, 2], [3, 4, 5], [6]]
+            assert [each.node_id for each in events.take()] == [7]
+
+
+@virtual_time
+async def test_a_reader_that_always_finds_events_lets_others_run_and_can_be_cancelled() -> None:
+    async with open_master(BUS) as master, VirtualTransport("test") as device:
+        master.node(3)
+        for is_batched in (False, True):
+            heard = turns = 0
+
+            async def count() -> None:
+                nonlocal turns
+                while True:
+                    turns += 1
+                    await loop.checkpoint()
+
+            with master.events(HeartbeatReceived) as events:
+                device.send_nowait(Frame(0x703, b"\x05"))
+                async with loop.open_nursery() as nursery:
+                    nursery.start_soon(count)
+                    async for _ in events.batches() if is_batched else events:
+                        heard += 1
+                        device.send_nowait(Frame(0x703, b"\x05"))  # so that there is always one more
+                        if heard == 1000:
+                            nursery.cancel_scope.cancel()
+            assert 1000 <= heard <= 1000 + HANDED_OVER
+            assert turns >= 1000 // HANDED_OVER
+
+
+@virtual_time
+async def test_of_tasks_that_wait_one_that_is_cancelled_is_not_woken_and_the_others_are_in_order() -> None:
+    lot, woken = loop.parking_lot(), list[int]()
+    scopes = [loop.cancel_scope() for _ in range(4)]
+
+    async def park(number: int) -> None:
+        with scopes[number]:
+            await lot.park()
+            woken.append(number)
+
+    assert not lot
+    lot.unpark()
+    lot.unpark_all()  # nobody is there
+    async with loop.open_nursery() as nursery:
+        for number in range(4):
+            nursery.start_soon(park, number)
+            await settled()
+        scopes[0].cancel()
+        await settled()
+        lot.unpark()
+        await settled()
+        assert woken == [1]
+        lot.unpark_all()
+        await settled()
+        assert sorted(woken) == [1, 2, 3]
+        assert not lot
 
 
 @virtual_time

@@ -57,7 +57,7 @@ def speed_of(joint: Joint) -> float:
     return abs(joint.node.drive._servo.demand_velocity)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("name", KILLS)
 @pytest.mark.parametrize("mode", [8, 7, 1])
 @virtual_time

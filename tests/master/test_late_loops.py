@@ -136,6 +136,7 @@ async def test_a_line_over_several_cycles_advances_the_path_by_all_of_them() -> 
         assert seen == [0, 0.01, 0.05]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("at", range(7))
 def test_a_hold_ends_a_line_over_several_cycles(at: int) -> None:
     """Whatever was sent when it holds stays, and so does the time."""

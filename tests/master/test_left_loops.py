@@ -8,36 +8,22 @@ import sys
 
 import pytest
 
-SCRIPT = """
-import asyncio, atexit, os, sys, threading
-from canopen_master import open_master
-from canopen_master.simulation import simulated_drives
+from tests.master.moving_for_ever import SERVE_AND_WORK
+
+SCRIPT = f"""{SERVE_AND_WORK}
+import atexit, os, sys, threading
 
 way = sys.argv[1]
 parent = os.getpid()
-
-async def serve(served):
-    async with simulated_drives([("virtual:cell", 3)]) as drives:
-        served.set_result(drives)
-        await asyncio.sleep(1000)
-
-async def work():
-    async with open_master("virtual:cell") as master:
-        arm = master.load_chains(text="arm joint1 can0 3\\n")["arm"]
-        await arm.initialise()
-        await arm.home()
-        while True:
-            await arm.move([1.0])
-            await arm.move([0.0])
 
 async def main():
     global drives, tasks
     served = asyncio.get_running_loop().create_future()
     tasks = [asyncio.create_task(serve(served))]
-    drives = await served
+    await until(lambda: served.done(), "the drive is served")
+    drives = served.result()
     tasks.append(asyncio.create_task(work()))
-    while not drives.moving:
-        await asyncio.sleep(0.01)
+    await until(lambda: drives.moving, "the drive moves")
 
 def last():  # registered before the first master is opened: it is called after what a master has registered
     print("parent" if os.getpid() == parent else "child", "at the end", drives.moving, flush=True)
@@ -60,6 +46,7 @@ print("moving", drives.moving, flush=True)
 """
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("way", ["stopped", "stopped again", "daemon", "fork"])
 def test_the_drive_stands_at_the_end_of_python(way: str) -> None:
     if way == "fork" and not hasattr(os, "fork"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +13,8 @@ from canopen_master import DeviceModel, PdoDiffers, open_master
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.nmt import NmtState
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.configure import configure_pdo, read_pdo
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.steps import SdoTransferError
 from tests.loops import fail_after, loop
@@ -169,3 +171,67 @@ async def test_a_machine_that_anybody_commands_says_so_at_once(by_machine: bool)
         node.remote.sdo.upload(0x1000, 0, master.now())
         await loop.sleep(0.05)
         assert 0x1000_00 in node.remote.heard_at
+
+
+@virtual_time
+@pytest.mark.parametrize("by_hand", [False, True])
+async def test_a_pdo_that_is_mapped_anew_is_decoded_by_its_new_mapping(by_hand: bool) -> None:
+    async with simulated(makers=[DeviceModel(sample(), 5)]), open_master(BUS) as master:
+        node = master.node(5, FILE)
+        with node.events(PdoReceived) as pdos:
+            if by_hand:
+                await node.exchange_pdos()
+                await node.write_bytes(0x1800, 1, (0xC000_0185).to_bytes(4, "little"))
+                await node.write_bytes(0x1A00, 0, b"\0")
+                await node.write_bytes(0x1A00, 1, (0x6401_0210).to_bytes(4, "little"))
+                await node.write_bytes(0x1A00, 0, b"\1")
+                await node.write_bytes(0x1800, 1, (0x4000_0185).to_bytes(4, "little"))
+                assert 1 not in node.remote.tpdos
+            else:  # while the first exchange is on its way
+                settings = await master.run(read_pdo(node.remote, Direction.TPDO, 1))
+                await master.run(configure_pdo(node.remote, replace(settings, entries=(0x6401_0210,))))
+            await node.start()
+            first = await pdos.receive()
+        assert (first.number, first.mapping.parameters) == (1, (0x6401_0210,))
+        (difference,) = await node.exchange_pdos()
+        assert "6401:02/16" in str(difference).partition("; the file says ")[0]
+
+
+@virtual_time
+async def test_tpdos_go_on_where_a_node_is_configured_after_its_boot_up_and_started_by_nmt() -> None:
+    """As the boot of a network does. RPDOs that are sent go on."""
+    async with simulated(makers=[DeviceModel(sample(), 5)]), open_master(BUS) as master:
+        node = master.node(5, FILE)
+        await node.exchange_pdos()
+        node.enable_rpdo(1)
+        for index, subindex, data in (
+            (0x1800, 1, (0xC000_0185).to_bytes(4, "little")),
+            (0x1A00, 0, b"\0"),
+            (0x1A00, 0, b"\2"),
+            (0x1800, 1, (0x4000_0195).to_bytes(4, "little")),
+            (0x1017, 0, (100).to_bytes(2, "little")),
+        ):
+            await node.write_bytes(index, subindex, data)
+        assert not node.remote.tpdos
+        await node.nmt(NmtCommand.START)
+        await loop.sleep(0.5)
+        received = node.remote.tpdos[1]
+        assert (received.key, len(received.mapping.entries)) == (0x195, 2)
+        assert node.remote.rpdos[1].is_live
+        assert not node.remote.unread_pdos
+
+
+@virtual_time
+async def test_a_cob_id_that_is_written_anew_as_it_is_changes_nothing() -> None:
+    """Also as bytes, as a text gateway or a page writes it: a chain that moves would be silent."""
+    async with simulated(makers=[DeviceModel(sample(), 5)]), open_master(BUS) as master:
+        node = master.node(5, FILE)
+        await node.start()
+        same = await node.read_bytes(0x1800, 1)
+        await node.write_bytes(0x1800, 1, same)
+        assert 1 in node.remote.tpdos
+        assert not node.remote.unread_pdos
+        await node.write_bytes(0x1800, 1, (0xC000_0185).to_bytes(4, "little"))  # destroyed: it is received, if it comes
+        assert not node.remote.unread_pdos
+        await node.write_bytes(0x1800, 1, (0x4000_0195).to_bytes(4, "little"))
+        assert node.remote.unread_pdos == {(Direction.TPDO, 1)}

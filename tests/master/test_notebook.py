@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
+import queue
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.master.moving_for_ever import SERVE_AND_WORK
 
 PAGE = (Path(__file__).parents[2] / "docs" / "asyncio.md").read_text(encoding="utf-8")
 MISSING = [name for name in ("nbclient", "ipykernel") if importlib.util.find_spec(name) is None]
@@ -60,24 +63,8 @@ served = await line.enter_async_context({devices})
     assert told == [[], ["0x20192\n"], [], [name], [], [], [name], ["0"], []]
 
 
-SERVED = """
-import asyncio, atexit
-from canopen_master import open_master
-from canopen_master.simulation import simulated_drives
-
-async def serve(served):
-    async with simulated_drives([("virtual:cell", 3)]) as drives:
-        served.set_result(drives)
-        await asyncio.sleep(1000)
-
-async def work():
-    async with open_master("virtual:cell") as master:
-        arm = master.load_chains(text="arm joint1 can0 3\\n")["arm"]
-        await arm.initialise()
-        await arm.home()
-        while True:
-            await arm.move([1.0])
-            await arm.move([0.0])
+SERVED = f"""{SERVE_AND_WORK}
+import atexit
 
 def last():
     with open("last", "w") as file:
@@ -89,8 +76,7 @@ serving = asyncio.create_task(serve(served))
 drives = await served
 """
 MOVES = """
-while not drives.moving:
-    await asyncio.sleep(0.01)
+await until(lambda: drives.moving, "the drive moves")
 print("moves", flush=True)
 """
 
@@ -107,7 +93,10 @@ class Kernel:
         number = self.client.execute(cell)
         text = error = ""
         while True:
-            message: dict[str, Any] = self.client.get_iopub_msg(timeout=LIMIT)
+            try:
+                message: dict[str, Any] = self.client.get_iopub_msg(timeout=LIMIT)
+            except queue.Empty:
+                pytest.fail(f"within {LIMIT:g} s the kernel said nothing of the end of this cell: {cell}\nIt has printed: {text}")
             content = message["content"]
             if message["parent_header"].get("msg_id") != number:
                 continue

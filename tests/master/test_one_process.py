@@ -12,7 +12,7 @@ from tests.master.test_stalls import stall
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("late", [0.0, 0.001, 0.0049, 0.0051, 3.0])
 @virtual_time
 async def test_whenever_a_stall_ends_no_drive_takes_its_master_for_lost(late: float) -> None:

@@ -105,7 +105,7 @@ async def moved(arm: Moving, seconds: float) -> None:
 STOPS = (by_halt, by_cancel, by_failing_caller, by_next_command)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("stop", STOPS)
 @example(seconds=0.37, joints=(6, 6))
 @examples(12, least=2)

@@ -230,6 +230,23 @@ async def test_a_shut_down_leaves_sync_to_a_chain_that_initialises() -> None:
         assert record.rows[-1] == pytest.approx([0.0, 0.1], abs=3e-6)
 
 
+@virtual_time
+async def test_the_task_that_moves_a_chain_is_not_woken_in_each_cycle() -> None:
+    async with simulated(3, 4), open_master(BUS) as master, loop.open_nursery() as nursery:
+        arm = arm_of(master, 3, 4)
+        await arm.initialise()
+        await arm.follow()
+        nursery.start_soon(arm.move, [0.2, 0.2])
+        while arm.motion is None:
+            await loop.sleep(0.001)
+        motion = arm.motion
+        for _ in range(20):
+            await loop.sleep(0.01)
+            assert not motion.news  # nobody waits for the next cycle
+        assert motion.cycles > 5
+        await arm.next_news()  # who asks for each cycle is woken
+
+
 @pytest.mark.parametrize("after", [0.0, 0.3])
 @virtual_time
 async def test_a_motion_does_not_wait_for_ever_for_a_sync_that_was_stopped(after: float) -> None:

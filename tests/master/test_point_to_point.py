@@ -72,6 +72,7 @@ def test_one_joint_takes_the_least_time_there_is(distance: float) -> None:
     assert_keeps(path, [LIMITS], 0.0)
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("seed", range(40))
 def test_any_motion_keeps_its_limits_and_takes_no_longer_than_ruckig_says(seed: int) -> None:
     rng = random.Random(seed)
@@ -208,6 +209,7 @@ def test_a_start_too_fast_to_stop_before_the_limit_is_refused() -> None:
     assert refused.value.value > 90.0
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("seed", range(40))
 def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
     rng = random.Random(seed)

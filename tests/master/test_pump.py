@@ -184,7 +184,7 @@ async def test_a_bus_that_takes_no_frames_fills_the_queue_and_fails() -> None:
         async with open_master(cable) as master:
             master.sync_start(0.001)
             await loop.sleep_forever()
-    assert f"{MAX_SEND_QUEUE + 1} frames" in caught.value.seen or "frames wait" in caught.value.seen
+    assert "frames still to be sent" in caught.value.seen
     assert loop.current_time() == pytest.approx(MAX_SEND_QUEUE * 0.001, abs=0.01)
 
 

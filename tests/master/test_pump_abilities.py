@@ -12,7 +12,7 @@ from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
 from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, TransportError
 from tests.loops import Channel, loop, settled
-from tests.master.world import virtual_time
+from tests.master.world import BUS, simulated, virtual_time
 
 
 class Able:
@@ -233,3 +233,42 @@ async def test_a_bus_that_is_away_or_fails_when_a_frame_is_to_go_out_at_once() -
                 assert [(await events.receive()).count for _ in range(2)] == [1, 2]
             bus.failure = loop.ClosedResourceError()
             await master.send_sync()
+
+
+@virtual_time
+async def test_a_listener_is_told_each_frame_and_nothing_is_filtered_meanwhile() -> None:
+    """What comes while one of ours is being sent waits for it: an answer is never told before its request."""
+
+    class Answering(Able):
+        async def send(self, frame: Frame) -> None:
+            self.feed(Frame.parse("583#4B41600040020000"))
+            await loop.sleep(0.01)
+            await super().send(frame)
+
+    bus, told = Answering(sends_sync=False), list[tuple[str, bool]]()
+    async with open_master(bus) as master:
+        node = master.node(3)
+        await settled()
+        filtered = len(bus.keys)
+        end = master.bus("able").listen(lambda frame, now, stamp, is_sent: told.append((str(frame), is_sent)))
+        assert bus.keys[filtered:] == [set()]  # all
+        await node.read("statusword")
+        bus.feed(Frame.parse("123#01"))
+        await loop.sleep(0.1)
+        assert told == [("603#4041600000000000", True), ("583#4B41600040020000", False), ("123#01", False)]
+        end()
+        assert bus.keys[-1] == bus.keys[filtered - 1]
+        bus.feed(Frame.parse("123#02"))
+        await settled()
+        assert len(told) == 3
+
+
+@virtual_time
+async def test_a_listener_is_told_the_request_first_though_the_answer_comes_before_it_is_handed_over() -> None:
+    """A simulated device of the same process answers while our frame is being sent."""
+    told: list[tuple[str, bool]] = []
+    async with simulated(3), open_master(BUS) as master:
+        master.bus(BUS).listen(lambda frame, now, stamp, is_sent: told.append((str(frame)[:11], is_sent)))
+        await master.node(3).read("statusword")
+        await master.node(3).read("device_type")
+    assert told == [("603#4041600", True), ("583#4B41600", False), ("603#4000100", True), ("583#4300100", False)]

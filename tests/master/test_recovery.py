@@ -28,6 +28,7 @@ from tests.master.world import Link, position_of, value, virtual_time
 # ---- emergency stop ----
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("code", [0, 0xFF01])
 @virtual_time
 async def test_an_emergency_stop_while_it_moves(code: int) -> None:
@@ -104,7 +105,7 @@ async def test_a_joint_that_is_power_cycled() -> None:
         await assert_moves(arm)
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("mode", [8, 7, 1])
 @virtual_time
 async def test_a_joint_that_is_power_cycled_gets_its_mapping_again(mode: int) -> None:
@@ -254,7 +255,7 @@ async def test_bus_off_and_back() -> None:
 # ---- the master ----
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("moves", [True, False])
 @pytest.mark.parametrize("pause", [0.1, 0.7])
 @virtual_time

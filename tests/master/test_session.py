@@ -235,7 +235,7 @@ BEGINNING = [*range(0, 100, 7), 150, 333]
 HOMING = [640, 1300, 1640, 1670, 2500]
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(8)
 @pytest.mark.parametrize(
     ("scenario", "milliseconds"),
     [
@@ -273,7 +273,7 @@ def step_by_step(work: Coroutine[Any, Any, None], step: int, scope: CancelScope)
             value, error = None, raised
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.both_loops
 @pytest.mark.parametrize("scenario", [_home, _follow, _shut_down, _boot, _back_up])
 def test_cancelled_at_each_await_the_drives_stand(scenario: Scenario) -> None:
@@ -322,7 +322,7 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
     assert all(node.drive.state is State.OPERATION_ENABLED for node in drives(hosts[0]))
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("gap", [0.0, 0.0005, 0.009])
 @pytest.mark.parametrize(
     ("scenario", "at"), [*((scenario, at) for scenario in (_home, _follow, _by_hand) for at in (0.012, 0.5)), (_home, 1.64)]

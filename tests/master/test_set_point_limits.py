@@ -6,6 +6,7 @@ import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from fractions import Fraction
 from itertools import pairwise
 
 import pytest
@@ -65,6 +66,7 @@ REFUSED: dict[str, tuple[AxisSettings, dict[int, int], float, tuple[str, ...]]] 
 }  # fmt: skip
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("case", REFUSED)
 @virtual_time
 async def test_the_error_names_joint_value_limit_and_source(case: str) -> None:
@@ -229,3 +231,14 @@ async def test_the_manuals_arm_follows_the_manuals_paths() -> None:
             arm.set_positions([start + math.radians(10) * cycle.time])
             if cycle.number == 20:
                 break
+
+
+@virtual_time
+async def test_set_points_may_be_numbers_of_any_kind() -> None:
+    """As those of numpy, not all of which are floats. The compiled core takes nothing else."""
+    axis, values, _, _ = REFUSED["settings"]
+    async with following_drive(axis, values) as (_, arm):
+        before = arm.desired_positions
+        for each in (Fraction(before[0]), round(before[0])):
+            arm.set_positions([each])
+            assert [(type(each), each) for each in arm.desired_positions] == [(float, before[0])]

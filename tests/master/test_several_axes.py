@@ -66,7 +66,7 @@ async def follow_path(arm: Chain, way: float = 2.0) -> None:
             return
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("mode", [Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION, Mode.PROFILE_POSITION])
 @virtual_time
 async def test_a_chain_with_two_joints_on_one_node_and_one_on_another_follows(mode: Mode) -> None:

@@ -32,6 +32,7 @@ async def running(master: Master) -> None:
 
 
 @virtual_time
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("ramp", [8_000, 16_000, 500_000])
 async def test_a_drive_that_brakes_for_seconds_stands_when_the_master_has_gone(ramp: int) -> None:
     async with simulated(makers=standard_drives(5, settings=DriveSettings(track=ENDLESS))) as host:

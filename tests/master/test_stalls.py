@@ -70,7 +70,7 @@ async def watched(record: Record) -> AsyncIterator[list[float]]:
         nursery.cancel_scope.cancel()
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
 @pytest.mark.parametrize("keeps_its_speed", [False, True])
 @example([(True, 0.009, 0.2), (True, 0.045, 0.2), (True, 0.015, 0.1), (True, 0.095, 0.2)])
@@ -98,7 +98,7 @@ def test_whatever_is_late_no_joint_exceeds_its_speed(mode: Mode, keeps_its_speed
     run()
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
 @pytest.mark.parametrize("gap", [0.009, 0.035, 0.095, 0.2])
 def test_a_loop_that_gives_set_points_keeps_the_speed_too(mode: Mode, gap: float) -> None:
@@ -182,6 +182,27 @@ async def test_a_joint_that_does_not_tell_where_it_is_halts_its_chain_before_syn
         assert largest[0] <= SPEED
 
 
+@virtual_time
+@pytest.mark.parametrize(("code", "cause"), [(0x2310, "it is in fault: 0x2310"), (0x8611, "our own SYNC was")])
+async def test_a_fault_beside_a_late_sync_is_what_the_drive_says_it_is(code: int, cause: str) -> None:
+    """Its following error may be our fault; its current is its own affair."""
+    async with arms(2) as (_, [arm], record):
+
+        async def follow() -> None:
+            with pytest.raises(ChainFaultError) as raised:
+                await arm.follow(PATH)
+            assert raised.value.cause.startswith(cause), str(raised.value)
+            assert "our own SYNC was 1" in raised.value.cause
+
+        async with loop.open_nursery() as nursery:
+            nursery.start_soon(follow)
+            await moved(arm, 0.5)
+            stall(0.02)
+            await loop.sleep(0.03)
+            drives(record.hosts[0])[1].raise_fault(code, record.hosts[0].now())
+            record.hosts[0].pump()
+
+
 def test_joints_in_reach_are_not_asked() -> None:
     within = WithinReach([0.0, 0.0], [1.0, 1.0])
     assert not within.must_look(1000.0)  # they stand
@@ -241,6 +262,7 @@ def brake_slowly(record: Record) -> None:
             node.values.store.update({0x1006_00: 1_000_000, 0x6085_00: 2_000_000, 0x6084_00: 2_000_000})
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("delay", [0.03, 0.1, 10.0])
 @pytest.mark.parametrize("joints", [(2,), (1, 1)])
 def test_a_slow_answer_of_one_joint_makes_no_other_one_jump(joints: tuple[int, ...], delay: float) -> None:
@@ -310,6 +332,7 @@ def test_a_joint_beyond_its_limit_is_not_sent_further() -> None:
     assert within.next([0.9]) == pytest.approx([1.3])
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("gap", [0.06, 0.2, 0.4])
 @pytest.mark.parametrize("looks", [False, True])
 def test_sync_that_is_started_again_lets_no_joint_jump(gap: float, looks: bool) -> None:

@@ -12,6 +12,7 @@ from tests.master.path_world import arms, swing
 from tests.master.world import virtual_time
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", ["home", "initialise", "recover"])
 @virtual_time
 async def test_a_halt_while_a_command_waits_for_the_stop_before_it_ends_that_command(name: str) -> None:

@@ -43,7 +43,7 @@ def with_stops(points: Sequence[Sequence[float]], limits: JointLimits) -> float:
     return sum(ramp + distance / limits.speed for distance in distances)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("seed", range(6))
 def test_any_points_are_passed_within_the_limits(seed: int) -> None:
     rng = random.Random(seed)

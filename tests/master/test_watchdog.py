@@ -58,7 +58,7 @@ async def one_drive() -> AsyncIterator[tuple[Host, DriveNode]]:
 # ---- a master that dies ----
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("sync_goes_on", [False, True])
 @virtual_time
@@ -126,6 +126,7 @@ async def beat_until(scope: CancelScope) -> None:
                 await loop.sleep(0.02)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("missing", [0.103, 0.2])
 @pytest.mark.parametrize("watchdog", [None, Watchdog(period=20 * MILLISECOND, timeout=100 * MILLISECOND)])
 @virtual_time

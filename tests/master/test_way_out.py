@@ -214,7 +214,7 @@ WAYS: dict[str, set[type[BaseException]]] = {
 """What comes out of the block, if all drives stand."""
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_every_way_out_stops_every_drive(way: str) -> None:
     """Every day each drive is left by two ways."""

@@ -76,9 +76,9 @@ def test_block_upload_with_a_segment_lost() -> None:
         "read 1008:00 name: start",
         "read 1008:00 name: block segment 1",
         "read 1008:00 name: block segment 3, the last",
-        "read 1008:00 name: 1 segments taken, the others must be sent again",
+        "read 1008:00 name: 1 segment taken, the others must be sent again",
         "read 1008:00 name: block segment 1, the last",
-        "read 1008:00 name: 1 segments taken",
+        "read 1008:00 name: 1 segment taken",
         "read 1008:00 name = 'ABCDEFGHI'",
         "read 1008:00 name: block transfer ended",
     ]
@@ -112,18 +112,18 @@ def test_block_download() -> None:
         "<A1 00 00 00 00 00 00 00",
     ) == [
         "write 2000:00 blob: in blocks, 10 bytes",
-        "write 2000:00 blob: go on, 1 segments a block",
+        "write 2000:00 blob: go on, 1 segment a block",
         "write 2000:00 blob: block segment 1",
-        "write 2000:00 blob: 1 segments taken",
+        "write 2000:00 blob: 1 segment taken",
         "write 2000:00 blob: block segment 1, the last",
-        "write 2000:00 blob: 1 segments taken",
+        "write 2000:00 blob: 1 segment taken",
         "write 2000:00 blob = 01 02 03 04 05 06 07 08 09 0a",
         "written 2000:00 blob",
     ]
     again = sdo(
         ">C0 00 20 00 00 00 00 00", "<A0 00 20 00 02 00 00 00", ">01" + " 00" * 7, ">82" + " 00" * 7, "<A2 01 02 00 00 00 00 00"
     )
-    assert again[-1] == "write 2000:00 blob: 1 segments taken, the others must be sent again"
+    assert again[-1] == "write 2000:00 blob: 1 segment taken, the others must be sent again"
 
 
 def test_aborts() -> None:

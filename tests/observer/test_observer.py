@@ -241,7 +241,7 @@ def test_a_heartbeat_that_comes_soon_is_no_copy_where_something_else_explains_it
 
 def test_wrong_lengths() -> None:
     assert Bus().hear_all("000#01", "705#", "705#0505", "000#010500") == [
-        "length 0: an NMT command of 1 bytes; it has two",
+        "length 0: an NMT command of 1 byte; it has two",
         "length 5: a heartbeat of 0 bytes; it has one",
         "length 5: a heartbeat of 2 bytes; it has one",
         "length 0: an NMT command of 3 bytes; it has two",

@@ -171,7 +171,7 @@ def test_a_size_that_was_announced_wrongly_is_found(up: bool, block: bool) -> No
         (
             ["60C#C200200007000000", "58C#A40020007F000000", "60C#81AABBCCDDEEFF00", "58C#A2807F0000000000"],
             "sdo",
-            "128 segments are",
+            "128 segments acknowledged",
         ),
         (["60C#A00020007F000000", "58C#C200200007000000", "60C#A200000000000000"], "missing", "a part of a block"),
     ],

@@ -24,7 +24,7 @@ def written(node_id: int, index: int, subindex: int, value: int, size: int) -> t
         ("085#0010010000000000", []),
         ("085#001001", ["length 5: an emergency of 3 bytes; it has 8"]),
         ("7E5#0400000000000000", []),
-        ("7E5#04", ["length 0: an LSS frame of 1 bytes; it has 8"]),
+        ("7E5#04", ["length 0: an LSS frame of 1 byte; it has 8"]),
         ("080#0102", ["length 0: a SYNC of 2 bytes; it has one for the counter, or none"]),
         ("000#0105", []),
         ("000#0305", ["nmt 0: an NMT command 0x03 for node 5: there is no such command"]),

@@ -100,6 +100,7 @@ async def robot(plug_in: str = "NaN", *, from_commands: bool = False) -> AsyncIt
         yield found
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("plug_in", PLUG_INS)
 @virtual_time
 async def test_no_plug_in_moves_the_arm_before_a_controller_is_active(plug_in: str) -> None:
@@ -134,6 +135,7 @@ async def test_a_controller_that_holds_its_last_commands_is_told_of_once_and_mov
         assert here.positions == pytest.approx([0.4, -0.1], abs=1e-3)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("from_commands", [False, True])
 @virtual_time
 async def test_behind_a_halt_and_recover_nothing_moves_until_a_controller_begins_at_the_joints(from_commands: bool) -> None:
@@ -230,6 +232,7 @@ async def test_a_plan_of_before_is_refused_by_moveit_or_by_the_node() -> None:
         assert here.positions == before
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("at", ["controllers", "node"])
 @virtual_time
 async def test_moveit_cancels_and_plans_again_from_where_the_joints_are(at: str) -> None:

@@ -163,7 +163,7 @@ async def test_a_joint_without_a_unit_is_told_with_the_key_to_set() -> None:
         ).outcome is GoalOutcome.REJECTED
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize(
     ("settings", "scale"),
     [

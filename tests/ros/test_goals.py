@@ -103,7 +103,7 @@ async def test_a_joint_that_moves_has_to_be_in_a_goal_that_takes_over() -> None:
         assert results[0].text.startswith("joint1 moves, and is not in the trajectory")
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("kinds", ["positions", "velocities", "accelerations"])
 @virtual_time
 async def test_a_trajectory_goes_through_its_points_at_their_times(kinds: str) -> None:
@@ -175,6 +175,7 @@ async def two_goals(world: Cell, second: TrajectoryGoal) -> list[GoalResult]:
     return results
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("how", ["cancel", "scope"])
 @virtual_time
 async def test_a_cancelled_goal_brakes_on_its_path(how: str) -> None:

@@ -38,7 +38,7 @@ STARTS = {"init": moving, "home": moving, "recover": fault, "IPmode": halted, "h
 """From which state each service is interrupted: one in which it has most to do."""
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("how", INTERRUPTS)
 @pytest.mark.parametrize("service", STARTS)
 def test_a_service_that_is_interrupted_at_any_step_leaves_all_joints_at_rest(service: str, how: str) -> None:

@@ -112,7 +112,7 @@ AFTER = {
 }  # fmt: skip
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(8)
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("service", AFTER)
 @virtual_time

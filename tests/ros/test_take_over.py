@@ -183,6 +183,7 @@ async def run(drives: str, first: int, steps: list[tuple[str, object]], on: set[
                 assert is_near(world, before), f"it moved by {kind} {what}"
 
 
+@pytest.mark.thorough(5)
 @pytest.mark.parametrize("service", ["init", "home", "recover"])
 @virtual_time
 async def test_a_controller_that_goes_on_sending_is_refused_once_with_its_distance(service: str) -> None:

@@ -283,7 +283,7 @@ async def test_a_position_counts_at_any_moment_about_the_end_of_the_one_before()
     async with cell(sync_interval=10) as world:
         await world.ask("init")
         world.hold()
-        for number in range(12):
+        for number in range(0, 12, 1 if takes_all() else 3):
             world.arm.command_positions(["joint1"], [0.0001 * (number % 2)])
             await trio.sleep(QUIET + 0.005 * number)
             world.arm.command_positions(["joint1"], [0.01])

@@ -64,6 +64,11 @@ class Client:
             assert time.monotonic() < end, f"waited in vain: {what}"
             self._executor.spin_once(timeout_sec=0.02)
 
+    def last(self, topic: str) -> Any:
+        """Return the last message of a topic that is listened to; wait for the first one, which may come later than its cause."""
+        self.until(lambda: self.heard[topic], f"a message on {topic}")
+        return self.heard[topic][-1]
+
     # ---- services ----
 
     def begin(self, kind: Any, name: str, request: Any = None) -> Any:

@@ -83,8 +83,8 @@ def test_a_bus_that_goes_away_is_told_and_refuses_services(tmp_path: Path, clien
         client.listen_to_diagnostics()
         assert client.trigger("/arm/init").success
         arm.close()
-        client.until(lambda: client.heard["/arm/state"][-1].data == "failed", "the state")
-        client.until(lambda: client.heard["/diagnostics"][-1].status[0].level == b"\2", "the diagnostics")
+        client.until(lambda: client.last("/arm/state").data == "failed", "the state")
+        client.until(lambda: client.last("/diagnostics").status[0].level == b"\2", "the diagnostics")
         answer = client.trigger("/arm/home")
         assert not answer.success
         assert "CO111" in answer.message

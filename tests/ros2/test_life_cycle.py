@@ -177,7 +177,7 @@ def test_a_deactivate_that_cannot_stop_the_drives_is_an_error_and_the_node_can_b
         client.listen_to_state("arm")
         assert client.trigger("/arm/init").success
         arm.close()
-        client.until(lambda: client.heard["/arm/state"][-1].data == "failed", "the state")
+        client.until(lambda: client.last("/arm/state").data == "failed", "the state")
         assert not client.change_state(DEACTIVATE)
         assert client.state() == "unconfigured"
         assert "CO111" in node.output()

@@ -78,7 +78,7 @@ def stands_at(client: Client, positions: list[float]) -> bool:
 def test_the_graph_has_the_names_of_the_table(client: Client, node: NodeProcess) -> None:
     topics = {
         name.of("arm") if name.name.startswith("/") else f"/{name.of('arm')}": [name.type.replace("/", "/msg/")]
-        for name in (*names.OF_NODE, *names.OF_CHAIN)
+        for name in (names.JOINT_STATES, names.DIAGNOSTICS, *names.OF_CHAIN)
         if name.in_ros2 and name.kind is not names.Kind.SERVICE
     }
     services = {f"/arm/{command}": ["std_srvs/srv/Trigger"] for command in names.COMMANDS}

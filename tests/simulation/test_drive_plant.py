@@ -194,7 +194,7 @@ def test_a_mass_that_the_torque_cannot_stop_is_left_to_the_brake() -> None:
     assert bench.read(0x606C) == 0
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("method", [17, 18, 19, 21, 33, 34])
 def test_homing_finds_the_same_place_with_a_mass(method: int) -> None:
     found = []

@@ -468,5 +468,5 @@ class MasterAndDrive(RuleBasedStateMachine):
 
 
 def test_master_and_drive() -> None:
-    settings = hypothesis.settings(examples(20, steps=20, least=20), phases=[Phase.generate])  # to make it short may take minutes
+    settings = hypothesis.settings(examples(20, steps=20, least=12), phases=[Phase.generate])  # to make it short may take minutes
     run_state_machine_as_test(MasterAndDrive, settings=settings)

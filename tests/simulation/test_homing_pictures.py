@@ -87,7 +87,7 @@ def test_the_tables_are_whole() -> None:
     assert sorted(method for methods in FIRST for method in methods) == sorted(HOME)
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("drive", DRIVES)
 @pytest.mark.parametrize("method", HOME)
 def test_home_is_where_the_picture_says(method: int, drive: str) -> None:
@@ -119,6 +119,7 @@ def test_the_present_position(method: int) -> None:
         assert homed(method, start, MIDDLE, DRIVES["slow"]) == (HomingStatus.COMPLETE, start, 0)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("method", [method for method in HOME if 7 <= method <= 14 or method >= 23])
 def test_a_narrow_switch_is_overshot_in_every_search_and_found_all_the_same(method: int) -> None:
     """Its width is 200; the axis needs 10 000 to stop."""

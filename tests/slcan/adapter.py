@@ -7,6 +7,7 @@ One thread serves all. A line ends in CR; the answer to a command that went well
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import pty
 import selectors
@@ -26,6 +27,7 @@ class Adapter:
         self.link = link
         self.fd, self._other = pty.openpty()
         tty.setraw(self._other)
+        os.set_blocking(self.fd, False)
         link.unlink(missing_ok=True)
         self._name = os.ttyname(self._other)
         link.symlink_to(self._name)
@@ -33,6 +35,7 @@ class Adapter:
         self.is_open = False
         self.is_silent = False
         self._line = b""
+        self.unread = bytearray()
 
     def take(self, data: bytes) -> None:
         """What the program wrote."""
@@ -41,14 +44,25 @@ class Adapter:
             self._obey(line.decode())
 
     def write(self, data: bytes) -> None:
-        """What the program is to read."""
-        while data:
-            data = data[os.write(self.fd, data) :]
+        """What the program is to read. From any other thread."""
+        self.bus.order(functools.partial(self.put, data))
+
+    def put(self, data: bytes) -> None:
+        """The same, in the thread, which waits for no program: one that closes reads nothing any more."""
+        self.unread += data
+        self.flush()
+
+    def flush(self) -> None:
+        """Hand over as much as the line takes now."""
+        with contextlib.suppress(BlockingIOError):
+            while self.unread:
+                del self.unread[: os.write(self.fd, self.unread)]
+        self.bus.listen(self)
 
     def _obey(self, line: str) -> None:
         match line[:1]:
             case "t" | "T" | "r" | "R" if self.is_open:
-                self.write(b"z\r" if line[0] in "tr" else b"Z\r")
+                self.put(b"z\r" if line[0] in "tr" else b"Z\r")
                 self.bus.spread(self, line.encode() + OK)
                 return
             case "S" | "C" | "V" | "O" | "L":
@@ -56,12 +70,12 @@ class Adapter:
                 if line[0] in "OLC":
                     self.is_open = line[0] != "C"
                 if not self.is_silent:
-                    self.write(b"V1013\r" if line[0] == "V" else OK)
+                    self.put(b"V1013\r" if line[0] == "V" else OK)
             case "":
                 pass
             case _:
                 self.said.append(line)
-                self.write(BELL)
+                self.put(BELL)
 
     def pull(self) -> None:
         """Unplug it. Runs in the thread."""
@@ -120,7 +134,12 @@ class SimulatedBus:
         """A frame, to all others."""
         for adapter in self._adapters.values():
             if adapter is not sender and adapter.is_open:
-                adapter.write(line)
+                adapter.put(line)
+
+    def listen(self, adapter: Adapter) -> None:
+        """Hear what a program says; and when its line has room, if it did not take all."""
+        room = selectors.EVENT_WRITE if adapter.unread else 0
+        self._selector.modify(adapter.fd, selectors.EVENT_READ | room)
 
     def close(self) -> None:
         """Unplug all."""
@@ -138,7 +157,7 @@ class SimulatedBus:
 
     def _serve(self) -> None:
         while not self._is_over:
-            for key, _ in self._selector.select():
+            for key, ready in self._selector.select():
                 if key.fd == self._wake:
                     os.read(self._wake, 100)
                     with self._lock:
@@ -146,5 +165,9 @@ class SimulatedBus:
                     for order in orders:
                         order()
                 elif key.fd in self._adapters:
+                    adapter = self._adapters[key.fd]
                     with contextlib.suppress(OSError):
-                        self._adapters[key.fd].take(os.read(key.fd, 4096))
+                        if ready & selectors.EVENT_WRITE:
+                            adapter.flush()
+                        if ready & selectors.EVENT_READ:
+                            adapter.take(os.read(key.fd, 4096))

@@ -50,7 +50,7 @@ SITE = Site(
 )
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(6)
 @pytest.mark.parametrize("case", cases(SITE, optional=("many_at_once",)), ids=str)
 def test_conformance(case: TransportCase) -> None:
     case.run(SITE)

@@ -272,7 +272,7 @@ PAGE = (DOCS / "strategies.md").read_text(encoding="utf-8") if (DOCS / "strategi
 ROWS = dict(re.findall(r"^\| ([^|]+?) \| [^|]+ \| ([^|]+ \| \d+) ", PAGE, re.MULTILINE))
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(7)
 @pytest.mark.parametrize("name", PLANTED)
 def test_the_smallest_example_is_the_one_that_a_person_would_write(name: str) -> None:
     planted = PLANTED[name]

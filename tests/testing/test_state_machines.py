@@ -131,10 +131,10 @@ class ByHand(MasterAgainstDevice):
 @pytest.mark.parametrize(
     ("machine", "match", "steps"),
     [
+        (ByHand, "toggle", ["read"]),
         (device(Swapped), r"output .*was written with .. .., and is read as", ["write", "read_back"]),
         (device(TakesAll), "it took an object that it does not have", ["write_what_is_not_there"]),
         (device(HangsInReset), "boot-up of node 5 did not come", ["command"]),
-        (ByHand, "toggle", ["read"]),
     ],
 )
 def test_a_bug_of_a_device_is_found_in_the_fewest_steps(machine: type[MasterAgainstDevice], match: str, steps: list[str]) -> None:

@@ -17,7 +17,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 NAMES = [name for name in strategies.__all__ if not inspect.isclass(getattr(strategies, name))]
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(12)
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_each_example_runs(number: int) -> None:
     names: dict[str, object] = {"__name__": f"example_{number}"}

@@ -284,6 +284,27 @@ def test_a_device_refuses_and_does_not_execute() -> None:
     assert "[node 5 answers otherwise]" in world.bus().saw(sdo_write(5, "producer_heartbeat_time", 100)).text
 
 
+def test_only_what_begins_a_transfer_is_refused() -> None:
+    world = World(faults=[Refuse(5, nth=2)])
+    world.drive(5)
+    world.advance(SECOND)
+    for request in ("605#A008100002000000", "605#A300000000000000"):  # a block upload of 0x1008, and its start
+        world.bus().send(request)
+        world.advance(MILLISECOND)
+    world.bus().never(sdo_abort(5))
+    world.bus().send("605#4018100100000000")
+    world.advance(MILLISECOND)
+    world.bus().saw(sdo_abort(5)).times(1)
+
+
+def test_frames_inside_of_a_block_transfer_begin_none() -> None:
+    """Whatever their bytes look like: here a sub-block of 0x60 segments, of which 0x41 came, and a CRC."""
+    assert not sdo_read(5, 0x6041).fits(Frame.parse("605#A241600000000000"))
+    assert not sdo_write(5, 0x6041).fits(Frame.parse("605#C141600000000000"))
+    assert sdo_read(5, 0x6041).fits(Frame.parse("605#A441600020000000"))
+    assert sdo_write(5, 0x6041).fits(Frame.parse("605#C641600009000000"))
+
+
 def test_a_device_lies_about_its_identity() -> None:
     world = World(faults=[Lie(5, (0x1018, 1), 0x1234)])
     world.drive(5)

@@ -280,7 +280,7 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
     def stop_cyclic(self) -> None: ...
 
 
-@pytest.mark.thorough(3)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(
     ("faulty", "found_by", "said"),
     [

@@ -79,7 +79,7 @@ APPLY = [
 ]
 
 
-@pytest.mark.thorough(4)
+@pytest.mark.thorough(8)
 @pytest.mark.parametrize(("name", "case"), APPLY, ids=str)
 def test_conformance(name: str, case: TransportCase) -> None:
     if "multicast" in name:

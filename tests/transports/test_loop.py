@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_transports.loop import CancelScope, NoLoopError, RunVar, TaskStatus, current_loop, protected
+from canopen_transports.loop.beside import beside
 from tests import loops
 from tests.examples import examples
 from tests.loops import ASYNCIO, TRIO, loop
@@ -199,6 +200,55 @@ def test_a_scope_cancels_each_await_in_it_and_a_shield_stands_against_that(on: s
         assert seen == ["cancelled"] * 3 + ["slept"]
         assert scope.cancelled_caught
         assert loop.current_time() - start == 1
+
+    on_loop(on, main)
+
+
+@BOTH
+def test_tasks_beside_a_block_end_with_it_and_its_error_comes_out_as_it_is(on: str) -> None:
+    ended: list[str] = []
+
+    async def serve(name: str) -> None:
+        try:
+            await loop.sleep_forever()
+        finally:
+            ended.append(name)
+
+    async def work(name: str, error: Exception | None) -> str:
+        async with beside(loop.open_nursery()) as nursery:
+            nursery.start_soon(serve, name)
+            await loop.sleep(1)
+            if error is not None:
+                raise error
+            return name
+
+    async def main() -> None:
+        assert await work("well", None) == "well"
+        planned, cause = Planned(), ValueError()
+        planned.__cause__ = cause
+        with pytest.raises(Planned) as raised:
+            await work("badly", planned)
+        assert raised.value is planned
+        assert planned.__cause__ is cause
+        with loop.move_on_after(0.5) as scope:
+            await work("cancelled", None)
+        assert scope.cancelled_caught
+
+    on_loop(on, main)
+    assert ended == ["well", "badly", "cancelled"]
+
+
+@BOTH
+def test_a_task_that_fails_ends_the_block_beside_it(on: str) -> None:
+    async def fail() -> None:
+        raise Planned
+
+    async def main() -> None:
+        with pytest.raises(ExceptionGroup) as raised:
+            async with beside(loop.open_nursery()) as nursery:
+                nursery.start_soon(fail)
+                await loop.sleep_forever()
+        assert [type(each) for each in raised.value.exceptions] == [Planned]
 
     on_loop(on, main)
 

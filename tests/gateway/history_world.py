@@ -1,0 +1,26 @@
+"""What tests of a history share: a clock that they set, and what a history answers. It is imported without the extra history."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from canopen_gateway.history.query import open_history
+
+BEGIN = 1_800_000_000_123_456_789
+SECOND = 10**9
+
+
+class Clock:
+    """A clock that a test sets: ns since 1970."""
+
+    def __init__(self) -> None:
+        self.now = BEGIN
+
+    def __call__(self) -> int:
+        return self.now
+
+
+def asked(folder: Path, sql: str, *values: Any) -> list[tuple[Any, ...]]:
+    with open_history(folder) as history:
+        return list(history.ask(sql, values).rows)
