@@ -36,7 +36,8 @@ class _Stream(io.StringIO):
     name = "file.eds"
 
 
-def _theirs(text: str) -> TheirDictionary:
+def their_dictionary(text: str) -> TheirDictionary:
+    """The peer's dictionary of an EDS."""
     return import_od(_Stream(text))
 
 
@@ -108,10 +109,10 @@ def _case(title: str, text: str) -> Case:
 
     def theirs(count: int) -> None:
         for _ in range(count):
-            _theirs(text)
+            their_dictionary(text)
 
     def check() -> None:
-        mine, others = _facts(read_eds(data).dictionary), _their_facts(_theirs(text))
+        mine, others = _facts(read_eds(data).dictionary), _their_facts(their_dictionary(text))
         differing = {place for place in mine ^ others if place[0] not in COMPACT}
         assert not differing, sorted(differing)[:5]
 

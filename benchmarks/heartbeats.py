@@ -8,11 +8,15 @@ it has for that, and end with reading the node's state by its public name:
   `Network.notify` for each;
 - one by one: the same with `drain` and `next_deadline` after each frame: our worst case, and what a driver does on a quiet bus;
 - RemoteNode: one by one, with the whole view of a node behind the network, as the peer has it in all cases but the first.
+  Nobody
+  asks for heartbeats: the peer has no callback, and ours has set `Network.quiet`, as the master does then.
+- each told: the same, and a function of the user is called with each heartbeat: the peer's callback, and for ours each event.
 
-Ours does more, and all of it is counted: it makes the Frame, supervises the time (the peer has no heartbeat time-out) and
-produces an event for each frame, which the peer's user would get by a callback (none is set). A RemoteNode also compares each
-heartbeat with what was commanded. Both note who was heard: the peer's scanner keeps the node-IDs, our Network the last frame of
-every CAN-ID and when it came.
+Ours does more, and all of it is counted: it makes the Frame, and supervises the time (the peer has no heartbeat time-out). In the
+cases without a RemoteNode it makes an event of each frame, which the peer's user would get by a callback (none is set). A
+RemoteNode also compares each heartbeat with what was commanded. Both note who was heard: the peer's scanner keeps the node-IDs,
+our Network the last frame of every CAN-ID and when it came. A driver of ours drains where there is something: as the pump of the
+master does, it looks at the outbox first.
 """
 
 from __future__ import annotations
@@ -56,10 +60,17 @@ def theirs_alone() -> Heard:
     return heard
 
 
-def theirs() -> Heard:
-    """The peer's Network with six RemoteNodes."""
+def ignore(_: object) -> None:
+    """What a user does with each heartbeat."""
+
+
+def theirs(told: bool = False) -> Heard:
+    """The peer's Network with six RemoteNodes. told: each heartbeat is handed to `ignore`."""
     network, _ = coupled_networks()
     remote = {node_id: network.add_node(node_id, canopen.ObjectDictionary()) for node_id in NODES}
+    if told:
+        for each in remote.values():
+            each.nmt.add_heartbeat_callback(ignore)
 
     def heard(count: int) -> str:
         state = ""
@@ -90,9 +101,12 @@ def ours_alone() -> Heard:
     return heard
 
 
-def ours(burst: int, whole_nodes: bool) -> Heard:
-    """A Network with six HeartbeatConsumers, or six RemoteNodes; drained after every `burst` frames."""
+def ours(burst: int, whole_nodes: bool, told: bool = False) -> Heard:
+    """A Network with six HeartbeatConsumers, or six RemoteNodes; drained after every `burst` frames. told: each event is handed
+    to `ignore`."""
     network = Network()
+    network.quiet = whole_nodes and not told
+    out = network.out
     consumers: dict[int, HeartbeatConsumer] = {}
     for node_id in NODES:
         if whole_nodes:
@@ -113,7 +127,11 @@ def ours(burst: int, whole_nodes: bool) -> Heard:
             network.receive(Frame(can_id, data), now)
             state = consumers[node_id].state
             if number % burst == burst - 1:
-                network.drain(now)
+                if out.frames or out.events:
+                    _, events = network.drain(now)
+                    if told:
+                        for event in events:
+                            ignore(event)
                 if network.next_deadline() <= now:
                     network.handle_timeout(now)
         clock = now
@@ -140,4 +158,5 @@ def cases() -> list[Case]:
         _case("in bursts of 6", ours(len(NODES), whole_nodes=False), dispatched),
         _case("one by one", ours(1, whole_nodes=False), dispatched),
         _case("RemoteNode, one by one", ours(1, whole_nodes=True), dispatched),
+        _case("RemoteNode, one by one, each told", ours(1, whole_nodes=True, told=True), theirs(told=True)),
     ]

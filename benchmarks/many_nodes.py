@@ -1,4 +1,4 @@
-"""Measure the cost of a frame in a participant that watches many nodes: 127 against 6, and both against the peer.
+"""Measure the cost of a frame in a participant that watches many nodes: 127 and 32 against 6, and each against the peer.
 
 Every node sends TPDOs with four objects, and after each nine of them a heartbeat; the nodes take turns, 4000 frames a second.
 Each frame is given to the network, which is then drained and asked for its deadline, as a driver does it on a quiet bus. Our
@@ -22,7 +22,7 @@ from canopen_proto.network import Network
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.remote_node import RemoteNode
 
-FEW, MANY = 6, 127
+FEW, SOME, MANY = 6, 32, 127
 INTERVAL = 250 * MICROSECOND
 TIMEOUT = 1 * SECOND
 PDOS_PER_HEARTBEAT = 9
@@ -94,9 +94,9 @@ def theirs(nodes: int) -> Handle:
 
 
 def cases() -> list[Case]:
-    """Few and many nodes, each against the peer."""
+    """Few nodes and more, each against the peer."""
     found = []
-    for nodes in (FEW, MANY):
+    for nodes in (FEW, SOME, MANY):
         mine, peers = ours(nodes), theirs(nodes)
 
         def check(mine: Handle = mine, peers: Handle = peers) -> None:

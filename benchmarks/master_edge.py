@@ -7,7 +7,11 @@
 - Full frames into a master: TPDOs with 8 bytes come in bursts of 9, as in each millisecond of a bus that carries 9,000 a second,
   and end as the node's two values. The transport is a stand-in on both sides: it has the frames ready, so that nothing but the
   master counts, its wake for each burst included. Ours decodes each frame as it comes, the peer when a value is read: once, at
-  the end. With a subscriber, each is also handed to a task that iterates over `master.events`; the peer's user has a callback.
+  the end. With a subscriber, each is also handed to a task that iterates over `master.events`, one by one, as the docs show it;
+  the peer's user has a callback. "in batches": the task takes lists (`events.batches()`) and goes over each. "with a callback":
+  ours is called too, by `master.watch`, which is the peer's way.
+  Two more rows have other things in the peer's place. The floor is python-can alone: its Notifier hands each message to a
+  listener that counts it. The limit is a bare loop: a trio task takes the bursts and does nothing with them.
 
 The clock is CPU time of the whole process: threads count, and waiting does not.
 """
@@ -53,6 +57,10 @@ READ = "master: read by name, virtual bus"
 PING_PONG = f"{READ}; in their place a bare trio ping-pong"
 FRAMES = f"master: {BURST} full frames come in"
 SUBSCRIBED = f"{FRAMES}, with a subscriber"
+BATCHED = f"{FRAMES}, with a subscriber in batches"
+CALLED = f"{FRAMES}, with a callback"
+FLOOR = f"{FRAMES}; in their place python-can alone"
+LIMIT = f"{FRAMES}; in their place a bare loop"
 
 
 def dictionary() -> ObjectDictionary:
@@ -118,8 +126,45 @@ class Source:
         await current_loop().checkpoint()
 
 
-def our_frames(subscribed: bool, run: Run = trio.run) -> Callable[[int], object]:
-    """Takes so many bursts in; the values of the last frame. run: the event loop."""
+async def _hear(master: Master, count: int) -> None:
+    heard = 0
+    with master.events(PdoReceived) as events:
+        async for _ in events:
+            heard += 1
+            if heard == count:
+                return
+
+
+async def _hear_batches(master: Master, count: int) -> None:
+    heard = 0
+    with master.events(PdoReceived) as events:
+        async for batch in events.batches():
+            for _ in batch:
+                heard += 1
+            if heard == count:
+                return
+
+
+async def _be_called(master: Master, count: int) -> None:
+    heard, done = 0, current_loop().event()
+
+    def on_pdo(_: PdoReceived) -> None:
+        nonlocal heard
+        heard += 1
+        if heard == count:
+            done.set()
+
+    watcher = master.watch((PdoReceived,), on_pdo)
+    await done.wait()
+    master.unwatch(watcher)
+
+
+Hear: TypeAlias = Callable[[Master, int], Awaitable[None]]
+"""Take so many PDOs, one after the other."""
+
+
+def our_frames(subscribed: bool, run: Run = trio.run, hear: Hear = _hear) -> Callable[[int], object]:
+    """Takes so many bursts in; the values of the last frame. run: the event loop. hear: how a subscriber does."""
 
     async def main(count: int) -> object:
         source = Source(count)
@@ -128,20 +173,11 @@ def our_frames(subscribed: bool, run: Run = trio.run) -> Callable[[int], object]
             entries = (mapping.MappedEntry(index, 0, 32, DataType.UNSIGNED32, "") for index in (LOW, HIGH))
             remote.add_tpdo(1, TPDO1, mapping.Mapping(entries), master.now())
             if subscribed:
-                await _hear(master, BURST * count)
+                await hear(master, BURST * count)
             await source.taken.wait()
             return [remote.values[index << 8] for index in (LOW, HIGH)]
 
     return lambda count: run(partial(main, count))
-
-
-async def _hear(master: Master, count: int) -> None:
-    heard = 0
-    with master.events(PdoReceived) as events:
-        async for _ in events:
-            heard += 1
-            if heard == count:
-                return
 
 
 def ping_pong(count: int) -> object:
@@ -163,6 +199,18 @@ def ping_pong(count: int) -> object:
                 value = await ponged.receive()
             nursery.cancel_scope.cancel()
         return value
+
+    return trio.run(main)
+
+
+def bare_loop(count: int) -> object:
+    """A task takes so many bursts and does nothing with them; how many frames there were."""
+
+    async def main() -> object:
+        source, taken = Source(count), 0
+        for _ in range(count):
+            taken += len(await source.receive_many(BURST))
+        return taken
 
     return trio.run(main)
 
@@ -234,6 +282,26 @@ def their_frames(subscribed: bool) -> Callable[[int], object]:
     return take
 
 
+class Counter(can.Listener):
+    """Counts messages."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def on_message_received(self, msg: can.Message) -> None:
+        self.count += 1
+
+
+def python_can(count: int) -> object:
+    """Its Notifier hands so many bursts to a listener; how many messages there were."""
+    source, counter = TheirSource(count), Counter()
+    notifier = can.Notifier(source, [counter], 1)
+    source.taken.wait()
+    notifier.stop()
+    source.shutdown()
+    return counter.count
+
+
 class TheirSource(can.BusABC):
     """A bus of python-can that has the frames ready."""
 
@@ -266,9 +334,11 @@ def share(title: str) -> Callable[[Mapping[str, Result]], float]:
     return lambda results: statistics.median(results[title].ours) * 1000 / 1e9 * 100
 
 
-def _case(title: str, ours: Callable[[int], object], theirs: Callable[[int], object]) -> Case:
+def _case(title: str, ours: Callable[[int], object], theirs: Callable[[int], object], result: object = None) -> Case:
+    """result: of theirs, for 20 times, where it does another thing than ours."""
+
     def check() -> None:
-        assert ours(20) == theirs(20)
+        assert theirs(20) == (ours(20) if result is None else result)
 
     return Case(title, ours, theirs, check)
 
@@ -280,4 +350,8 @@ def cases() -> list[Case]:
         _case(PING_PONG, our_reads, ping_pong),
         _case(FRAMES, our_frames(False), their_frames(False)),
         _case(SUBSCRIBED, our_frames(True), their_frames(True)),
+        _case(BATCHED, our_frames(True, hear=_hear_batches), their_frames(True)),
+        _case(CALLED, our_frames(True, hear=_be_called), their_frames(True)),
+        _case(FLOOR, our_frames(False), python_can, 20 * BURST),
+        _case(LIMIT, our_frames(False), bare_loop, 20 * BURST),
     ]

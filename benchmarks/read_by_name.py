@@ -3,7 +3,8 @@
 Both sides have a view of the node (our RemoteNode, the peer's) and a device (our LocalNode, the peer's), each behind a network,
 coupled by a function call. Ours is driven as a driver would do it: drained, and asked for its deadline, after every frame. The
 peer is read and written by `node.sdo["Statusword"].raw`, ours by `RemoteNode.read` and `value_of`, and `RemoteNode.write`.
-The two objects are an UNSIGNED16 by its own name, and an INTEGER32 that is a field of a record.
+The two objects are an UNSIGNED16 by its own name, and an INTEGER32 that is a field of a record. Both devices have the device type
+too, as every device does: our client asks for it between two writes of one object.
 
 Ours does more, and all of it is counted: it keeps what was read in the node's image of the device, checks the access and the
 limits before it writes, and has time-outs at both ends. The peer has a queue with a time-out at the client.
@@ -20,6 +21,7 @@ from measure import Case
 
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
+from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.network import Network
@@ -82,13 +84,20 @@ class OurNodes:
 
 
 def our_dictionary() -> ObjectDictionary:
-    """An UNSIGNED16, and a record of two INTEGER32."""
+    """The device type, an UNSIGNED16, and a record of two INTEGER32."""
+    device_type = Variable(DEVICE_TYPE, 0, "Device type", DataType.UNSIGNED32)
     limits = [
         Variable(LIMITS, 1, "Min position limit", DataType.INTEGER32),
         Variable(LIMITS, 2, "Max position limit", DataType.INTEGER32),
     ]
     statusword = Variable(STATUSWORD, 0, "Statusword", DataType.UNSIGNED16)
-    return ObjectDictionary([Object.of("Statusword", [statusword]), Object.of("Software position limit", limits)])
+    return ObjectDictionary(
+        [
+            Object.of("Device type", [device_type]),
+            Object.of("Statusword", [statusword]),
+            Object.of("Software position limit", limits),
+        ]
+    )
 
 
 class TheirNodes:
@@ -96,6 +105,7 @@ class TheirNodes:
 
     def __init__(self) -> None:
         dictionary = TheirDictionary()
+        dictionary.add_object(variable("Device type", DEVICE_TYPE, 0, int(DataType.UNSIGNED32)))
         dictionary.add_object(variable("Statusword", STATUSWORD, 0, int(DataType.UNSIGNED16)))
         members = [
             variable("Min position limit", LIMITS, 1, int(DataType.INTEGER32)),

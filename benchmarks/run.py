@@ -1,5 +1,5 @@
 """canopen-proto against `canopen` 2.4.1, in one run: Markdown tables with what users feel (goals.py), with what motions of chains
-cost (motions.py, without a peer), and with every case.
+cost (motions.py, without a peer), with memory (memory.py), and with every case.
 
     python benchmarks/run.py                            # all cases, some eight minutes
     python benchmarks/run.py --into docs/speed.md       # the same, into the page, in place of the last figures of this build
@@ -19,11 +19,13 @@ import re
 from pathlib import Path
 
 import block_transfers
+import devices
 import eds_import
 import goals
 import heartbeats
 import many_nodes
 import master_edge
+import memory
 import motions
 import observer
 import pdos
@@ -32,7 +34,7 @@ import sdo_transfers
 from direct import VERSION
 from measure import FAILED, Result, measure, table
 
-MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_nodes, observer, master_edge, eds_import)
+MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_nodes, observer, master_edge, devices, eds_import)
 
 
 def report(results: list[Result], rounds: int, seconds: float, *, with_goals: bool) -> str:
@@ -44,6 +46,7 @@ def report(results: list[Result], rounds: int, seconds: float, *, with_goals: bo
     if with_goals:
         parts.append(goals.table({each.title: each for each in results}))
         parts.append(motions.tables(rounds=3))
+        parts.append(memory.table())
     return "\n\n".join([*parts, table(results, f"canopen {VERSION}")])
 
 

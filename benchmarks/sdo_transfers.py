@@ -10,10 +10,11 @@ The peer is always its RemoteNode and its LocalNode in two of its Networks, coup
 server send through these. So only `RemoteNode` compares like with like; the other two show what the layers cost. Names and values
 are left out here: read_by_name.py.
 
-Both servers serve an object dictionary with the same two objects, an UNSIGNED32 and a DOMAIN, check the access, and hold the
-value (ours as a Python value, encoded for each answer; the peer's as bytes). Both clients give bytes. Our RemoteNode also decodes
-what was read, for its image of the device. Each outcome is looked at; ours has time-outs set at both ends, the peer a queue with
-a time-out at the client.
+Both servers serve an object dictionary with the same objects, an UNSIGNED32, a DOMAIN and the device type, which every device
+has and which our client asks for between two writes of one object. They check the access, and hold the value (ours as a Python
+value, encoded for each answer; the peer's as bytes). Both clients give bytes. Our RemoteNode also decodes what was read, for its
+image of the device. Each outcome is looked at; ours has time-outs set at both ends, the peer a queue with a time-out at the
+client.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from measure import Case
 
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Values, Variable
+from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Event, Outbox, Time
 from canopen_proto.network import Network
@@ -51,6 +53,7 @@ class Ours:
         """kind: "machines", "Networks" or "RemoteNode"; see this module's text."""
         dictionary = ObjectDictionary(
             [
+                Object.of("device_type", [Variable(DEVICE_TYPE, 0, "device_type", DataType.UNSIGNED32)]),
                 Object.of("number", [Variable(NUMBER, 0, "number", DataType.UNSIGNED32)]),
                 Object.of("domain", [Variable(DOMAIN, 0, "domain", DataType.DOMAIN)]),
             ]
@@ -147,6 +150,7 @@ class Ours:
 def their_transfers() -> Transfers:
     """The same with the peer."""
     dictionary = TheirDictionary()
+    dictionary.add_object(variable("device_type", DEVICE_TYPE, 0, int(DataType.UNSIGNED32)))
     dictionary.add_object(variable("number", NUMBER, 0, int(DataType.UNSIGNED32)))
     dictionary.add_object(variable("domain", DOMAIN, 0, int(DataType.DOMAIN)))
     master, device = coupled_networks()
