@@ -91,6 +91,7 @@ LEFT_OUT: Final = {
     "Moving.present_motion": _INSIDE,
     "Chain.begun": "tasks wait for it: `progress`",
     "Chain.changed": "tasks wait for it: `progress`",
+    "Subscription.batches": "`receive_batch`",
     "Subscription.end": _INSIDE,
     "Subscription.put": _INSIDE,
     "Subscription.put_all": _INSIDE,

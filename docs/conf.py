@@ -6,6 +6,7 @@ sidebar (`with_navigation`), and links to sources outside this folder become pla
 
 from __future__ import annotations
 
+import builtins
 import re
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sphinx.application import Sphinx
+from sphinx.domains.python import PythonDomain
 
 project = "canopen-proto"
 author = "The canopen-proto authors"
@@ -27,6 +29,10 @@ html_title = f"canopen-proto {release}"
 html_show_sourcelink = html_copy_source = False
 html_show_sphinx = html_show_copyright = False
 html_permalinks_icon = "#"
+html_show_search_summary = False  # which the search fetches: a browser refuses that to pages of a disk
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_search_scorer = str(Path(__file__).parent / "static" / "scores.js")
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
@@ -106,6 +112,14 @@ def _inline(line: str) -> str:
     return "".join(parts)
 
 
+class OurNames(PythonDomain):
+    """A name of Python itself, such as `object`, is none of ours, also where classes of ours have fields of that name."""
+
+    def find_obj(self, env: Any, module: Any, owner: Any, name: str, kind: Any, searchmode: int = 0) -> Any:
+        return [] if hasattr(builtins, name) else super().find_obj(env, module, owner, name, kind, searchmode)
+
+
 def setup(app: Sphinx) -> None:
+    app.add_domain(OurNames, override=True)
     app.connect("source-read", read_page)
     app.connect("autodoc-process-docstring", read_docstring)

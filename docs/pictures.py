@@ -12,12 +12,15 @@ docs/live.md: a demonstration in which a drive breaks down is recorded, and its 
 
 docs/screens: what SCREENS says, as a terminal shows it.
 
-Needs the extras `plot` and `motion`.
+docs/tui: the views of `canopen tui` that TUI_VIEWS says, on two simulated drives, of which one has a fault.
+
+Needs the extras `plot`, `motion` and `tui`.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import inspect
 import io
 import os
@@ -294,8 +297,8 @@ def draw_arm(path: Path) -> str:
 FAULT: Final = "5@3.0"
 LIVE_PAGE: Final = Path(__file__).parent / "live.md"
 LIVE_TITLES: Final = {
-    "watch": "canopen watch 3 --402 --plot --from arm.log",
-    "top": "canopen top arm.log --bitrate 1M",
+    "watch": "canopen watch 3 --402 --plot --log arm.log",
+    "top": "canopen top --log arm.log --bitrate 1M",
 }
 LIVE_SIZE: Final = (80, 24)
 LIVE_SPAN: Final = 10.0
@@ -415,8 +418,90 @@ def _dress(axes: Axes) -> None:
     axes.margins(x=0.01)
 
 
+class TuiView(NamedTuple):
+    """A view of `canopen tui`. keys: that lead to it. shown: what stands there once it is whole."""
+
+    keys: Sequence[str]
+    shown: str
+    size: tuple[int, int] = (80, 24)
+
+
+TUI_VIEWS: Final = {
+    "nodes": TuiView(("1", "f"), "Powerball", (100, 20)),
+    "objects": TuiView(("2", "slash", *"6081", "enter", "enter"), "profile_velocity: 20000"),
+    "drives": TuiView(("6",), "error 0x3220"),
+    "traffic": TuiView(("5",), "boot-up", (100, 20)),
+}
+"""By the names of their pictures."""
+TUI_LIMIT: Final = 30.0
+"""Seconds in which each view has to be whole."""
+
+
+def draw_tui(folder: Path) -> None:
+    """Draw the views of `canopen tui`."""
+    folder.mkdir(exist_ok=True)
+    for name, wanted in TUI_VIEWS.items():
+        path = folder / f"{name}.svg"
+        write_svg(path, tui_picture(wanted), f"canopen tui -b {TUI_BUS}", wanted.size[0])
+        print(path)
+
+
+def tui_picture(wanted: TuiView) -> Text:
+    """Return a view as a terminal shows it. The machine runs in virtual time, which follows the real one; the view does not."""
+    from canopen_cli.live.frame_lines import Buses
+    from canopen_cli.shared.node_files import NodeFiles
+    from canopen_cli.shared.options import Settings
+    from canopen_cli.tui.app import MachineView
+    from canopen_cli.tui.guest import run_beside
+    from canopen_cli.tui.machine_watch import MachineWatch
+    from canopen_gateway import open_gateway
+    from canopen_master.participant.patient_clock import PatientClock
+    from canopen_master.simulation.serving import simulated_drives
+    from canopen_transports.tracing import listening
+
+    watches: list[MachineWatch] = []
+    pictures: list[Text] = []
+    opened = asyncio.Event()
+
+    async def machine() -> None:
+        settings = Settings()
+        with listening(lambda record: watches[0].heard(record) if watches else None) as trace:
+            async with open_master(TUI_BUS) as master, open_gateway(master) as service:
+                files = NodeFiles(settings, settings.screen(), load_dictionary()[0])
+                with service.open_session("the view") as session:
+                    watches.append(MachineWatch(service, session, files, trace, Buses(files)))
+                    async with simulated_drives([(TUI_BUS, 3), (TUI_BUS, 4)]) as drives:
+                        drives.raise_fault(3, 0x3220)
+                        opened.set()
+                        await watches[0].run()
+
+    async def host(ended: asyncio.Future[Any]) -> None:
+        await asyncio.wait_for(opened.wait(), TUI_LIMIT)
+        view = MachineView(watches[0], TUI_BUS)
+        async with view.run_test(size=wanted.size) as pilot:
+            end = asyncio.get_running_loop().time() + TUI_LIMIT
+            await shown(view, pilot, "4 (0x04)", end)
+            await pilot.press(*wanted.keys)
+            pictures.append(await shown(view, pilot, wanted.shown, end))
+
+    async def shown(view: MachineView, pilot: Any, text: str, end: float) -> Text:
+        while True:
+            strips = view.screen._compositor.render_strips()
+            picture = Text("\n").join(Text.assemble(*((each.text, each.style or "") for each in strip)) for strip in strips)
+            if text in picture.plain:
+                return picture
+            if asyncio.get_running_loop().time() > end:
+                raise RuntimeError(f"{text!r} was not seen in:\n{picture.plain}")
+            await pilot.pause(0.05)
+
+    run_beside(host, lambda: watches[0].leave())(machine, clock=PatientClock())
+    return pictures[0]
+
+
 SCREENS_FOLDER: Final = "screens"
-PICTURED: Final = (*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem, SCREENS_FOLDER)
+TUI_FOLDER: Final = "tui"
+TUI_BUS: Final = "virtual:cell"
+PICTURED: Final = (*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem, SCREENS_FOLDER, TUI_FOLDER)
 """The pages with pictures."""
 
 
@@ -426,6 +511,8 @@ def draw_page(page: str, docs: Path) -> None:
         draw_live(docs / "live")
     elif page == SCREENS_FOLDER:
         draw_screens(docs / SCREENS_FOLDER)
+    elif page == TUI_FOLDER:
+        draw_tui(docs / TUI_FOLDER)
     elif page == ARM_PAGE.stem:
         path = docs / f"{page}.png"
         print(f"{path}: {draw_arm(path)}")

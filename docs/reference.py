@@ -16,7 +16,7 @@ import importlib
 import inspect
 import pkgutil
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -53,11 +53,12 @@ class Definition(NamedTuple):
 
 
 class Module(NamedTuple):
-    """A source: what it defines, and from where it takes other names."""
+    """A source: what it defines, and from where it takes other names. fronts: those of which it takes all."""
 
     tree: ast.Module
     definitions: Mapping[str, Definition]
     origins: Mapping[str, tuple[str, str]]
+    fronts: Sequence[str]
 
 
 @cache
@@ -74,7 +75,7 @@ def modules() -> dict[str, Module]:
 
 
 def _module(name: str, tree: ast.Module) -> Module:
-    definitions, origins = {}, {}
+    definitions, origins, fronts = {}, {}, []
     statements = [inner for each in tree.body for inner in (each.body if isinstance(each, ast.If) else [each])]
     for place, node in enumerate(statements):
         match node:
@@ -82,9 +83,11 @@ def _module(name: str, tree: ast.Module) -> Module:
                 definitions.setdefault(node.name, Definition(name, node, ast.get_docstring(node) or ""))
             case ast.AnnAssign(target=ast.Name(target)) | ast.Assign(targets=[ast.Name(target)]):
                 definitions.setdefault(target, Definition(name, node, _text_after(statements, place)))
+            case ast.ImportFrom(module=str(source), names=[ast.alias(name="*")]):
+                fronts.append(source)
             case ast.ImportFrom(module=str(source)):
                 origins.update({alias.asname or alias.name: (source, alias.name) for alias in node.names})
-    return Module(tree, definitions, origins)
+    return Module(tree, definitions, origins, fronts)
 
 
 def is_overload(node: ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
@@ -102,7 +105,7 @@ def _text_after(statements: list[ast.stmt], place: int) -> str:
 def definition_of(module: str, name: str) -> Definition:
     """Return where a name of a module is defined, over any number of imports."""
     while name not in (source := modules()[module]).definitions:
-        module, name = source.origins[name]
+        module, name = source.origins.get(name) or next((each, name) for each in source.fronts if name in modules()[each].origins)
     return source.definitions[name]
 
 
@@ -337,16 +340,82 @@ def object_pages() -> dict[str, str]:
     return {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 
+OTHER_OBJECTS: Final = """
+## CiA 402: objects without a name here
+
+Nothing here uses them. Read one by its number and type, if no file of the device names it: `canopen read 5 604D --type u8`.
+Those of the first table stand in CiA's sample file, of an older edition (V2, from memory); newer drives have few of them.
+
+| object | sub | title | type | access |
+|---|---|---|---|---|
+| 0x6045 | 00 | vl manipulated velocity | INTEGER16 | ro |
+| 0x6047 | 01 to 04 | vl velocity min max: min and max positive, min and max negative | UNSIGNED32 | rw |
+| 0x604D | 00 | vl pole number | UNSIGNED8 | rw |
+| 0x604E | 00 | vl velocity reference | UNSIGNED32 | rw |
+| 0x604F | 00 | vl ramp function time | UNSIGNED32 | rw |
+| 0x6050 | 00 | vl slow down time | UNSIGNED32 | rw |
+| 0x6051 | 00 | vl quick stop time | UNSIGNED32 | rw |
+| 0x6052 | 00 | vl nominal percentage | INTEGER16 | rw |
+| 0x6053 | 00 | vl percentage demand | INTEGER16 | ro |
+| 0x6054 | 00 | vl actual percentage | INTEGER16 | ro |
+| 0x6055 | 00 | vl manipulated percentage | INTEGER16 | ro |
+| 0x6056 | 01, 02 | vl velocity motor min max amount | UNSIGNED32 | rw |
+| 0x6057 | 01 to 04 | vl velocity motor min max, as 0x6047 | UNSIGNED32 | rw |
+| 0x6058 | 01, 02 | vl frequency motor min max amount | UNSIGNED32 | rw |
+| 0x6059 | 01 to 04 | vl frequency motor min max, as 0x6047 | UNSIGNED32 | rw |
+| 0x6089 | 00 | position notation index | INTEGER8 | rw |
+| 0x608A | 00 | position dimension index | UNSIGNED8 | rw |
+| 0x608D | 00 | acceleration notation index | INTEGER8 | rw |
+| 0x608E | 00 | acceleration dimension index | UNSIGNED8 | rw |
+| 0x6093 | 01, 02 | position factor: numerator, feed constant (others: divisor) | UNSIGNED32 | rw |
+| 0x6094 | 01, 02 | velocity encoder factor: numerator, divisor | UNSIGNED32 | rw |
+| 0x6095 | 01, 02 | velocity factor 1: numerator, divisor | UNSIGNED32 | rw |
+| 0x60F6 | the maker's | torque control parameters | the maker's | rw |
+| 0x60F7 | the maker's | power stage parameters | the maker's | rw |
+| 0x60F9 | 01, 02 | velocity control parameter set: gain, integration time constant | UNSIGNED16 | rw |
+| 0x60FA | 00 | control effort | INTEGER32 | ro |
+| 0x60FB | the maker's | position control parameter set | the maker's | rw |
+| 0x6403 | 00 | motor catalogue number | VISIBLE_STRING | rw |
+| 0x6404 | 00 | motor manufacturer | VISIBLE_STRING | rw |
+| 0x6405 | 00 | http motor catalogue address | VISIBLE_STRING | rw |
+| 0x6407 | 00 | motor service period | UNSIGNED32 | rw |
+| 0x6410 | the maker's | motor data | the maker's | rw |
+| 0x6503 | 00 | drive catalogue number | VISIBLE_STRING | rw |
+| 0x6504 | 00 | drive manufacturer | VISIBLE_STRING | rw |
+| 0x6505 | 00 | http drive catalogue address | VISIBLE_STRING | rw |
+| 0x6510 | the maker's | drive data | the maker's | rw |
+
+Of newer editions, and not complete; subindices from 01 on are one for each encoder:
+
+| object | sub | title | type | access | source |
+|---|---|---|---|---|---|
+| 0x60A2 | 01, 02 | jerk factor: numerator, divisor | UNSIGNED32 | rw | a file of ros2_canopen |
+| 0x60AB | 00 | SI unit jerk | UNSIGNED32 | rw | a file of ros2_canopen |
+| 0x60D0 | 01, 02 | touch probe source | INTEGER16 | rw | from memory |
+| 0x60D1 to 0x60D4 | 00 | touch probe time stamps | UNSIGNED32 | ro | from memory |
+| 0x60E6, 0x60EB | 01 on | additional position encoder: increments, motor revolutions | UNSIGNED32 | rw | Nanotec, PD4-E manual |
+| 0x60E8, 0x60ED | 01 on | additional gear ratio: motor, driving shaft revolutions | UNSIGNED32 | rw | Nanotec, PD4-E manual |
+| 0x60E9, 0x60EE | 01 on | additional feed constant: feed, driving shaft revolutions | UNSIGNED32 | rw | Nanotec, PD4-E manual |
+"""
+"""Objects that the table of the package leaves out: nothing here needs them."""
+
+
 def objects_page() -> Iterator[str]:
     """Yield the lines of the index of standard objects."""
     yield "# Objects by number"
     yield ""
-    yield "Every object of CiA 301, CiA 302 and CiA 402 that this package knows, made from its own table by"
-    yield "`python docs/reference.py`. Read one by its name or number: `canopen read 5 statusword`, `canopen read 5 6041`."
+    yield "The objects of CiA 301, CiA 302 and CiA 402 that have a name here, made from the table of this package by"
+    yield "`python docs/reference.py`; then [those of CiA 402 that have none](#cia-402-objects-without-a-name-here). Read one by"
+    yield "its name or number: `canopen read 5 statusword`, `canopen read 5 6041`."
     yield ""
-    yield "PDO: whether a PDO may carry it. A default that is not there is the device's matter, most often 0. A name in braces"
-    yield "counts: `{n}` the objects of a range from 1 (`{m}` from 2), `{s}` is the subindex. Each of up to eight axes has the"
-    yield "objects of CiA 402 once more, 0x800 higher: 0x6041, 0x6841, 0x7041 ... The names of a device's own file count for it."
+    yield "Access: `rww` is `rw`, and an RPDO may carry it. PDO: whether a PDO may carry it. A default that is not there is the"
+    yield "device's matter, most often 0. Subindex 0 of a record has a row only if it says more than the last subindex. A name in"
+    yield "braces counts: `{n}` the objects of a range from 1 (`{m}` from 2), `{s}` is the subindex. Each of up to eight axes has"
+    yield "the objects of CiA 402 once more, 0x800 higher: 0x6041, 0x6841, 0x7041 ... The names of a device's own file"
+    yield "count for it; so do its types and its access, which differ from maker to maker."
+    yield ""
+    yield "Sources: CiA 301 v4.2.0, 7.5.2. CiA 302-2 and 302-3 v4.1.0, as Lely core has them. CiA 402: what most of seven drives'"
+    yield "dictionaries and CiA's own sample file say; PDO is `yes` here if one of them, or a maker's manual, says so."
     for title, first, last in (
         ("CiA 301: communication", 0x1000, 0x1EFF),
         ("CiA 302: managers, programs, MPDO", 0x1F00, 0x1FFF),
@@ -360,6 +429,8 @@ def objects_page() -> Iterator[str]:
         for row in ROWS:
             if first <= row.indices.start <= last:
                 yield f"| {' | '.join(_object_cells(row))} |"
+
+    yield from OTHER_OBJECTS.splitlines()
 
 
 def _object_cells(row: Row) -> Iterator[str]:
