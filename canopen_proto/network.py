@@ -129,13 +129,14 @@ class Network:
         if now < self._now:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
-        if self.out.rerouted:
+        out = self.out
+        if out.rerouted:
             self._members.refresh()
-        events, root = self._told, self.out.root
+        events, root = self._told, out.root
         if timestamp is not None:
             root.timestamp = timestamp
-        # Whoever is told of what was reported may ask for what comes behind it
-        root.quiet = self.quiet and not events and self._nobody_waits()
+        if self.quiet:  # whoever is told of what was reported may ask for what comes behind it
+            root.quiet = not events and self._nobody_waits()
         key = frame.key
         machine = self._lone[key] if key < SLOTS else None
         if machine is not None:
@@ -147,9 +148,10 @@ class Network:
         if events:  # a segment of a transfer reports nothing
             settled, count, reactions = self._settled, len(events), self._reactions
             while settled < count:  # as `_settle` does, without a call
-                kind = type(events[settled])
+                event = events[settled]
+                kind = type(event)
                 if kind in reactions:
-                    reactions[kind](events[settled], now)
+                    reactions[kind](event, now)
                     count = len(events)
                 settled += 1
             self._settled = settled
@@ -278,7 +280,8 @@ class Network:
         out = self.out
         if out.armed or out.rerouted:
             self._members.refresh()
-        return self._heap[0][0] if self._heap else NEVER
+        heap = self._heap
+        return heap[0][0] if heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
         """Wake every machine whose deadline has come. Early calls do nothing."""
@@ -297,23 +300,22 @@ class Network:
             now = self._now
         self._now = now
         frames, events = self._sent, self._told
+        to_deliver: list[Event] = []
         if events:  # a segment of a transfer tells nothing
             if len(events) > self._settled:
                 self._settle(now)
             if self._tasks:
                 self._feed(now)
-        to_send: list[Frame] = []
-        if frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
-            to_send += frames
-            frames.clear()
-        if not events:
-            return to_send, []
-        to_deliver = events.copy()
-        events.clear()
-        self._settled = 0
-        if self._dropped:
-            to_deliver.insert(0, EventsDropped(0, self._dropped))
-            self._dropped = 0
+            to_deliver = [*events]
+            events.clear()
+            self._settled = 0
+            if self._dropped:
+                to_deliver.insert(0, EventsDropped(0, self._dropped))
+                self._dropped = 0
+        if not frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
+            return [], to_deliver
+        to_send = [*frames]
+        frames.clear()
         return to_send, to_deliver
 
     def _feed(self, now: Time) -> None:

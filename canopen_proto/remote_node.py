@@ -677,33 +677,41 @@ class _PdoEntrance(Entrance):
 class _HeartbeatEntrance(Entrance):
     """Where a node takes in its heartbeats: what `HeartbeatConsumer.receive` and the node's reaction do, in one call.
 
-    That is for the usual frame: the state is the known one, and nothing was lost. All others go the long way.
+    That is for the usual frame: the same byte as in the heartbeat before, and nothing was lost. All others go the long way.
     """
 
-    __slots__ = ("_consumer", "_node", "_root")
+    __slots__ = ("_consumer", "_last", "_node", "_root", "_usual")
 
     def __init__(self, node: RemoteNode, consumer: HeartbeatConsumer) -> None:
         super().__init__(node, consumer)
         self._consumer = consumer
         self._root = self.out.root
         self._node = node
+        self._usual = b""  # the last heartbeat's byte
+        self._last = HeartbeatReceived(consumer.node_id, NmtState.INITIALISING, None)  # what it told, without a time stamp
 
     def receive(self, frame: Frame, now: Time) -> None:
-        consumer, data = self._consumer, frame.data
-        state = consumer.state
-        if state is None or len(data) != 1 or STATE_OF_BYTE[data[0]] is not state or consumer.lost:
-            super().receive(frame, now)
+        consumer, last = self._consumer, self._last
+        state = last.state
+        if frame.data != self._usual or consumer.state is not state or consumer.lost:
+            self._receive_other(frame, now)
             return
-        node = self._node
         consumer.last_heard = now
-        consumer._begun = True
         root = self._root
         if not root.quiet:
-            self._events.append(HeartbeatReceived(consumer.node_id, state, root.timestamp))
+            timestamp = root.timestamp  # without one the same is told again: an event never changes
+            self._events.append(last if timestamp is None else HeartbeatReceived(consumer.node_id, state, timestamp))
         timeout = consumer.timeout
         if timeout:
             consumer.deadline = deadline = now + timeout
             if deadline < consumer._wake:
                 consumer._arm(deadline)
+        node = self._node
         if state is not node.nmt_state:
             node._enter_heard(state, now)
+
+    def _receive_other(self, frame: Frame, now: Time) -> None:
+        super().receive(frame, now)
+        data, state = frame.data, self._consumer.state
+        if state is not None and len(data) == 1 and STATE_OF_BYTE[data[0]] is state:
+            self._usual, self._last = data, HeartbeatReceived(self._consumer.node_id, state, None)

@@ -382,6 +382,30 @@ SERVICE_MUTANTS: Final = tuple(
             "a lost node is lost once more, though nothing was heard of it",
             HEARTBEAT,
         ),
+        (
+            "back_unnoticed",
+            "remote_node.py",
+            " or consumer.state is not state or consumer.lost:",
+            " or consumer.state is not state:",
+            "a node that was lost and boots is never told as back",
+            HEARTBEAT,
+        ),
+        (
+            "old_state_known",
+            "remote_node.py",
+            " or consumer.state is not state or consumer.lost:",
+            " or consumer.lost:",
+            "a state that is not known any more is told as one that never changed",
+            HEARTBEAT,
+        ),
+        (
+            "no_stamp_but_the_first",
+            "remote_node.py",
+            "last if timestamp is None else HeartbeatReceived",
+            "last if timestamp is None or last is not None else HeartbeatReceived",
+            "heartbeats lose their time stamps",
+            HEARTBEAT,
+        ),
         # ---- LSS ----
         (
             "selected_in_any_order",

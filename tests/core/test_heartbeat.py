@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import (
     HeartbeatConsumer,
@@ -19,7 +20,12 @@ from canopen_proto.heartbeat import (
 )
 from canopen_proto.machine import MILLISECOND as MS
 from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Outbox
+from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
+from canopen_proto.remote_node import RemoteNode
+from tests.builds import replaces_what_is_compiled
+from tests.core.test_bursts_and_single_frames import long_way
+from tests.examples import examples
 
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = NmtState.STOPPED, NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL
 
@@ -303,3 +309,32 @@ def test_no_bytes_at_no_time_make_the_consumer_raise(steps: list[tuple[bytes, in
         consumer.handle_timeout(now)
         assert len(take(consumer.out)[1]) <= 3
         assert consumer.deadline in (NEVER, now + timeout) or consumer.deadline > now
+
+
+bytes_sent = st.sampled_from([b"\x7f", b"\x00", b"\x7f", b"\x00", b"\x05", b"\xff", b"\x05\x05"])
+pauses = st.sampled_from([5, 20, 60, 100])  # ms: the consumer heartbeat time is 50 ms
+
+
+@replaces_what_is_compiled
+@examples(1000, least=250)
+@given(st.lists(st.tuples(bytes_sent, st.none() | st.integers(0, 9), pauses, st.booleans()), min_size=4, max_size=12))
+def test_however_a_node_falls_silent_boots_and_comes_back_each_heartbeat_is_told_as_by_the_long_way(
+    script: list[tuple[bytes, int | None, int, bool]],
+) -> None:
+    told: list[list[str]] = []
+    for kind in (long_way(), RemoteNode):
+        network = Network()
+        node = kind(network.out, 5, ObjectDictionary([]), heartbeat_timeout=50 * MS)
+        network.attach(node)
+        now, heard = 0, []
+        for byte, stamp, pause, forgets in script:
+            network.receive(Frame(0x705, byte), now, stamp)
+            heard.append(f"{network.drain(now)} {node.nmt_state} {node.heartbeat.state} {network.next_deadline()}")
+            now += pause * MS
+            network.handle_timeout(now)
+            if forgets and node.heartbeat.lost:
+                node.heartbeat.set_timeout(0, now)  # it is no longer lost, and its state stays unknown
+                node.heartbeat.set_timeout(50 * MS, now)
+            heard.append(f"{network.drain(now)} {node.heartbeat.lost} {network.next_deadline()}")
+        told.append(heard)
+    assert told[0] == told[1]
