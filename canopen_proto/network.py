@@ -135,8 +135,8 @@ class Network:
         events, root = self._told, out.root
         if timestamp is not None:
             root.timestamp = timestamp
-        if self.quiet:  # whoever is told of what was reported may ask for what comes behind it
-            root.quiet = not events and self._nobody_waits()
+        # Whoever is told of what was reported may ask for what comes behind it
+        root.quiet = self.quiet and not events and self._nobody_waits()
         key = frame.key
         machine = self._lone[key] if key < SLOTS else None
         if machine is not None:
