@@ -503,6 +503,9 @@ def outcome_of(tree: Path, *command: str) -> tuple[Outcome, str]:
 
 def main(names: list[str]) -> int:
     """Plant the bugs of these names, or all, and print who finds them; the exit status is that of the module's docstring."""
+    if {"-h", "--help"} & set(names):
+        print(__doc__)
+        return 0
     wings = {name: {mutant.name for mutant in wing} for name, wing in WINGS.items()}
     wanted = set().union(*(wings.get(name, {name}) for name in names))
     if unknown := wanted - {mutant.name for mutant in MUTANTS}:

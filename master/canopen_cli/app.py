@@ -157,6 +157,8 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
 def _show(settings: Settings, problem: CommandError) -> int:
     if settings.late is not None and settings.late is not problem:
         problem.also.append(f"{settings.late.failed}: {settings.late.seen}")
+    if problem.exit_code is ExitCode.CANNOT_OPEN and (origin := settings.origin_of_bus()):
+        problem.also.append(origin)
     return _last_words(settings, lambda screen: screen.problem(problem.on_bus(*settings.typed_bus())), problem.exit_code)
 
 

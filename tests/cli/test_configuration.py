@@ -82,3 +82,12 @@ def test_a_folder_that_is_not_absolute_is_ignored(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_CONFIG_HOME", "here")
     assert configuration_path() == tmp_path / ".config" / "canopen" / "config.toml"
+
+
+def test_a_bus_that_cannot_be_opened_says_who_named_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write('bus = "nonsense"\n')
+    assert f"{path} named this bus" in run("scan").err
+    monkeypatch.setenv("CANOPEN_BUS", "udp_multicats")
+    told = run("scan", "--json").error
+    assert (told["code"], told["also"]) == ("CO100", ["CANOPEN_BUS=udp_multicats named this bus"])
+    assert run("scan", "-b", "nonsense", "--json").error["also"] == []

@@ -20,6 +20,8 @@ DEMO = ("-b", "demo")
     [
         ("scan demo", "-b demo    (if it is a bus)"),
         ("scan can0", "-b can0    (if it is a bus)"),
+        ("move -b demo --to joint1=10deg", "joint1=NUMBER, in the joint's unit of the machine file"),
+        ("scan -b dmeo", "try:   -b demo"),
         ("emcy watch trace.log", "--log trace.log    (if it is a recording)"),
         ("monitor -b trace.log", "--log trace.log    (a recording"),
         ("scan -b trace.log", "canopen log decode trace.log"),

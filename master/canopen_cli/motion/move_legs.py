@@ -53,7 +53,8 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
         except ValueError:
             found[name] = math.nan
         if not math.isfinite(found[name]):
-            raise usage("CO001", f"--to: {number!r} is not a finite number", seen=f"the position of {name}")
+            advice = f"{name}=NUMBER, in the joint's unit of the machine file: a unit is not written here"
+            raise usage("CO001", f"--to: {number!r} is not a finite number", seen=f"the position of {name}", tries=(advice,))
     return found
 
 

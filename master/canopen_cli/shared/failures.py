@@ -16,6 +16,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.importing import library_missing
+from canopen_cli.shared.options import DEMO
 from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
 from canopen_gateway import errors as gateway_errors
 from canopen_master import errors
@@ -32,6 +33,7 @@ from canopen_proto.procedures.objects import UnexpectedLengthError
 from canopen_proto.procedures.steps import NOT_CONFIRMED, ProcedureError, SdoTransferError
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
+from canopen_transports.locator import nearest
 
 
 def problem_of(error: BaseException) -> CommandError:
@@ -69,9 +71,9 @@ def _of_group(group: BaseExceptionGroup[BaseException]) -> CommandError:
 def _of_expected(error: BaseException) -> CommandError | None:
     match error:
         case TransportError():
-            return _told_of_recordings(_spoken(error, _of_bus(error.code)), error.locator)
+            return _what_was_meant(_spoken(error, _of_bus(error.code)), error.locator)
         case errors.BusError():
-            return _told_of_recordings(_spoken(error, _of_bus(error.code)), error.bus)
+            return _what_was_meant(_spoken(error, _of_bus(error.code)), error.bus)
         case errors.SdoTimeoutError() | errors.NodeSilentError() | errors.CallTimeoutError():
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
@@ -182,13 +184,17 @@ def _of_bus(code: str) -> ExitCode:
     return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
 
 
-def _told_of_recordings(problem: CommandError, locator: str) -> CommandError:
-    """Add what takes a recording, if one was named as a bus. Returns the problem."""
-    if problem.code != BAD_LOCATOR or ":" in locator or not Path(locator).suffix:
+def _what_was_meant(problem: CommandError, locator: str) -> CommandError:
+    """Add what was perhaps meant by the name of a bus that is none: the demonstration, or a recording. Returns the problem."""
+    if problem.code != BAD_LOCATOR or ":" in locator:
+        return problem
+    if nearest(locator, (DEMO,)):
+        problem.tries = (f"-b {DEMO}", *problem.tries)
+    if not (suffix := Path(locator).suffix.lower()):
         return problem
     from canopen_transports.log_files import LOSSES  # formats of logs need long to import
 
-    if Path(locator).suffix.lower() in (*LOSSES, ".txt"):
+    if suffix in (*LOSSES, ".txt"):
         watching = "monitor, top, watch, emcy watch"
         problem.tries = (f"--log {locator}    (a recording, in place of a bus: {watching})", f"canopen log decode {locator}")
     return problem

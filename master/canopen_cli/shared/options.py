@@ -93,6 +93,15 @@ class Settings:
         bus = self.bus or (self.chosen.bus if self.chosen.has_several else None)
         return bus or None, None if self.machine is None else str(self.machine)
 
+    def origin_of_bus(self) -> str:
+        """Return who named the bus, in words, if neither -b nor a machine file did; "" if they did, or nobody."""
+        if self.bus or self.chosen.bus:
+            return ""
+        if bus := os.environ.get(BUS_VARIABLE):
+            return f"{BUS_VARIABLE}={bus} named this bus"
+        configuration = self.chosen.configuration
+        return f"{configuration.path} named this bus" if configuration.bus else ""
+
     def screen(self) -> Screen:
         """The screen that the command writes to."""
         with importing():
