@@ -37,9 +37,12 @@ async def test_events_are_there_from_the_call_on() -> None:
         assert len(master._subscriptions) == 0
 
 
+@pytest.mark.parametrize("one_by_one", [False, True])
 @virtual_time
-async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many() -> None:
+async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(one_by_one: bool) -> None:
     async with open_master(BUS) as master:
+        if one_by_one:
+            master.watch((SyncSent,), lambda event: None)  # a call for each event: then no list is handed over
         with master.events(SyncSent) as events:
             master.sync_start(0.001)
             await loop.sleep((QUEUE_SIZE + 9) * 0.001 + 0.0005)

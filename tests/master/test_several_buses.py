@@ -29,7 +29,12 @@ async def test_a_node_is_a_bus_and_an_id() -> None:
             two.nodes[0].raise_error(0x3220, 4, b"", two.now())
             two.pump()
             await of_second.receive()
-            assert of_first.take() == []
+            called: list[EmcyReceived] = []
+            first.watch((EmcyReceived,), called.append)  # events are no longer handed over in lists alone
+            two.nodes[0].clear_error(0x3220, two.now())
+            two.pump()
+            await of_second.receive()
+            assert of_first.take() == called == []
         await master.nmt_start()
         await loop.sleep(0.001)
         assert [host.nodes[0].state.name for host in (one, two)] == ["OPERATIONAL", "OPERATIONAL"]
