@@ -183,7 +183,7 @@ DATA_MUTANTS: Final = tuple(
         (
             "decoded_by_the_old_mapping",
             "remote_node.py",
-            "            self.remove_pdo(Direction.TPDO, place.number)\n        self.unread",
+            "            self.remove_pdo(direction, number)\n        self.unread",
             "            pass\n        self.unread",
             "the values of a PDO that was mapped anew are those of other objects",
             REWRITTEN,
@@ -191,9 +191,17 @@ DATA_MUTANTS: Final = tuple(
         (
             "sent_by_the_old_mapping",
             "remote_node.py",
-            "            rpdo.set_enabled(False, now)",
+            "            self.rpdos[number].set_enabled(False, now)",
             "            pass",
             "a set-point lands in another object, since its RPDO was mapped anew",
+            REWRITTEN,
+        ),
+        (
+            "mapped_as_before_the_reset",
+            "remote_node.py",
+            "for where in self._set_up & self._read_pdos:",
+            "for where in self._set_up & set():",
+            "a set-point lands in another object, since a reset has undone the mapping of its RPDO",
             REWRITTEN,
         ),
         (
