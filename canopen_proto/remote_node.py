@@ -85,7 +85,6 @@ class RemoteNode(Group):
         "_mpdo_listener",
         "_mpdo_rpdos",
         "_read_pdos",
-        "_set_up",
         "_sync_listeners",
         "_wanted",
         "_writes",
@@ -105,6 +104,7 @@ class RemoteNode(Group):
         "rpdos",
         "sdo",
         "sdo_channels",
+        "set_up",
         "tpdos",
         "unread_pdos",
         "values",
@@ -139,8 +139,8 @@ class RemoteNode(Group):
         self.tpdos: dict[int, PdoConsumer] = {}
         self.unread_pdos: set[tuple[Direction, int]] = set()
         self._read_pdos: set[tuple[Direction, int]] = set()
-        self._set_up: set[tuple[Direction, int]] = set()  # their CAN-ID or mapping was written by us since it booted
         self.pdo_writes = 0  # how often we have written a CAN-ID or a mapping: what was read meanwhile may be half old, half new
+        self.set_up: dict[tuple[Direction, int], int] = {}  # the same of each PDO, since the node booted
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, RoutingKey] = {}  # RPDO number -> key
         self.foreign_writes = ForeignWrites(self.inner, node_id, dictionary, self.rpdos)
@@ -530,9 +530,10 @@ class RemoteNode(Group):
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
-        for where in self._set_up & self._read_pdos:
-            self._make_unread(where, now)
-        self._set_up.clear()
+        for where in self.set_up:
+            if where in self._read_pdos:
+                self._make_unread(where, now)
+        self.set_up.clear()
         self.assume_boot()
         self._on_lost(report, now)
 
@@ -624,7 +625,7 @@ class RemoteNode(Group):
             return
         self.pdo_writes += 1
         where = (place.direction, place.number)
-        self._set_up.add(where)
+        self.set_up[where] = self.set_up.get(where, 0) + 1
         if where not in self._read_pdos:
             return
         key = (self.rpdos if place.direction is Direction.RPDO else self.tpdos)[place.number].key

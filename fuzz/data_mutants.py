@@ -26,6 +26,7 @@ _MODULES: Final = "canopen_data/eds/modules.py"
 _EXPECTATIONS: Final = "canopen_check/expectations.py"
 _DICTIONARY: Final = "canopen_check/dictionary_cases.py"
 
+CONFIGURE: Final = ("tests/core/test_configure_pdo.py",)
 REWRITTEN: Final = ("tests/core/test_rewritten_pdos.py",)
 
 DATA_MUTANTS: Final = tuple(
@@ -199,10 +200,18 @@ DATA_MUTANTS: Final = tuple(
         (
             "mapped_as_before_the_reset",
             "remote_node.py",
-            "for where in self._set_up & self._read_pdos:",
-            "for where in self._set_up & set():",
+            "            if where in self._read_pdos:\n",
+            "            if False:\n",
             "a set-point lands in another object, since a reset has undone the mapping of its RPDO",
             REWRITTEN,
+        ),
+        (
+            "half_of_one_half_of_another",
+            "pdo/configure.py",
+            "            if self._counted() != self._writes:",
+            "            if False:",
+            "two procedures set up one PDO, and each is told that the device has its mapping",
+            CONFIGURE,
         ),
         (
             "half_old_half_new",

@@ -21,10 +21,11 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.pdo.configure import configure_pdo, exchange_device_pdos, use_device_pdo
+from canopen_proto.pdo.configure import PdoRefusedError, configure_pdo, exchange_device_pdos, use_device_pdo
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, download
 from canopen_proto.remote_node import RemoteNode
 from tests.core.bus import Bus
@@ -301,6 +302,43 @@ def test_whatever_resets_a_device_never_is_a_pdo_used_by_the_mapping_that_the_re
     world.reset()
     world.look()
     assert not remote.unread_pdos  # nobody has written it since the last boot
+
+
+@pytest.mark.parametrize("quarters", range(0, 14, 2))
+@pytest.mark.parametrize("direction", Direction)
+def test_whoever_sets_up_a_pdo_beside_another_never_are_both_told_that_it_is_done(direction: Direction, quarters: int) -> None:
+    """The downloads of two procedures take turns on the wire: the device has some entries of the one and some of the other."""
+    world = World(0.0)
+    remote, network, bus = world.remote, world.master, world.bus
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    cob_id = CAN_IDS[direction, 1][0]
+    first, second, third = entries_of(direction)[:3]
+    ours = [
+        PdoSettings(1, direction, cob_id, 255, (first, second, third)),
+        PdoSettings(1, direction, cob_id, 255, (first, third)),
+    ]
+    ids = []
+    for settings in ours:
+        ids.append(network.run(configure_pdo(remote, settings), bus.now))
+        bus.run(quarters * MILLISECOND // 4)
+    bus.run(SECOND)
+    ended = {each.request_id: each for each in bus.events if isinstance(each, (ProcedureFinished, ProcedureFailed))}
+    store: Any = world.device.values.store
+    record = (0x1600 if direction is Direction.RPDO else 0x1A00) << 8
+    held = tuple(store[record | subindex] for subindex in range(1, store[record] + 1))
+    done = [settings for settings, each in zip(ours, ids, strict=True) if isinstance(ended[each], ProcedureFinished)]
+    assert not done or done[-1].entries == held
+    for each in ids:
+        error = getattr(ended[each], "error", None)
+        if error is not None:
+            assert isinstance(error, PdoRefusedError)
+            assert not error.restored
+            assert "somebody else of this program wrote this PDO at the same time" in str(error)
+    world.look()
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    world.look()
 
 
 def of_eight_objects() -> ObjectDictionary:
