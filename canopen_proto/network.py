@@ -7,9 +7,10 @@ The driver loop, the only one there is:
     3. send the frames, in order          4. deliver the events
     5. wait for a frame, a command, or `network.next_deadline()`
 
-`drain` also feeds the events to running procedures (`run`), whose next requests then leave in the same turn. A driver never
-empties the outbox itself. A driver of several networks with one Runner must drain all of them, repeatedly, until nothing comes
-out: a procedure fed by one may have changed another.
+`drain` also feeds the events to running procedures (`run`), whose next requests then leave in the same turn. A boot-up in a burst
+is handled behind such a feed, as if each frame had been drained by itself: a procedure that goes on by an answer from before has
+its next request open then, and learns of the boot. A driver never empties the outbox itself. A driver of several networks with
+one Runner must drain all of them, repeatedly, until nothing comes out: a procedure fed by one may have changed another.
 
 A bus does not hand our own frames back to us. So a Network tells every attached `RemoteNode` of a SYNC that we sent (or heard),
 which releases its synchronous PDOs, and of an NMT command that we sent, which changes the state that we expect of it.
@@ -26,11 +27,11 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.follower import Follower
-from canopen_proto.frame import Frame, RoutingKey
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey
 from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.group import Members, Reaction
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.nmt import NmtCommandSent
+from canopen_proto.nmt import STATE_OF_BYTE, NmtCommandSent, NmtState
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.events import SdoAborted
@@ -40,6 +41,8 @@ T = TypeVar("T")
 
 MAX_UNDRAINED_EVENTS: Final = 10_000
 """Notifications held for a driver that does not drain: half a second of a 1 Mbit/s bus that is full of empty frames."""
+
+_BOOT_UPS: Final = frozenset(bytes((byte,)) for byte, state in enumerate(STATE_OF_BYTE) if state is NmtState.INITIALISING)
 
 
 class EventsDropped(Event):
@@ -74,22 +77,25 @@ class Network:
     """
 
     __slots__ = (
-        "_back_at", "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_lone", "_members", "_now", "_reactions",
-        "_routes", "_sent", "_settled", "_tasks", "_times", "_told", "bits", "out", "quiet", "runner",
+        "_armed", "_back_at", "_dropped", "_fed", "_followers", "_frames", "_heap", "_knowledge", "_lone", "_members", "_now",
+        "_reactions", "_rerouted", "_root", "_routes", "_sent", "_settled", "_tasks", "_times", "_told", "bits", "out", "quiet",
+        "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
-        self._sent, self._told = self.out.frames, self.out.events  # asked for at each drain
-        self._members = Members(self.out, SLOTS)
         # As near as can be: looked at for each frame
+        self._sent, self._told, self._root = self.out.frames, self.out.events, self.out.root
+        self._armed, self._rerouted = self.out.armed, self.out.rerouted
+        self._members = Members(self.out, SLOTS)
         self._lone, self._routes, self._heap = self._members.lone, self._members.receivers, self._members.heap
-        self._followers: dict[Machine, Follower] = {}
+        self._followers: dict[Machine, Follower] = {}  # never changed, but replaced: one of them may attach another
         self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
         self._back_at: Time = -NEVER
         self._dropped = 0
         self._settled = 0
+        self._fed = 0
         self.quiet = False
         self.bits = 0
         self._reactions: dict[type[Event], Reaction] = {
@@ -112,12 +118,12 @@ class Network:
         """Route frames to a machine that was made with this network's `out`, and wake it at its deadlines."""
         self._members.attach(machine)
         if isinstance(machine, Follower):
-            self._followers[machine] = machine
+            self._followers = self._followers | {machine: machine}
 
     def detach(self, machine: Machine) -> None:
         """Forget a machine. Its open requests get no outcome: abort them first."""
         self._members.detach(machine)
-        self._followers.pop(machine, None)
+        self._followers = {key: each for key, each in self._followers.items() if key is not machine}
 
     def can_ids(self) -> tuple[RoutingKey, ...]:
         """Return the keys of all frames that a machine wants, for a transport that can filter."""
@@ -129,15 +135,15 @@ class Network:
         if now < self._now:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
-        out = self.out
-        if out.rerouted:
+        events, root, key = self._told, self._root, frame.key
+        if events and self._tasks and frame.data in _BOOT_UPS:
+            self._before_boot(key, now)
+        if self._rerouted:
             self._members.refresh()
-        events, root = self._told, out.root
         if timestamp is not None:
             root.timestamp = timestamp
         # Whoever is told of what was reported may ask for what comes behind it
         root.quiet = self.quiet and not events and self._nobody_waits()
-        key = frame.key
         machine = self._lone[key] if key < SLOTS else None
         if machine is not None:
             machine.receive(frame, now)
@@ -148,12 +154,13 @@ class Network:
         if events:  # a segment of a transfer reports nothing
             settled, count, reactions = self._settled, len(events), self._reactions
             while settled < count:  # as `_settle` does, without a call
-                event = events[settled]
-                kind = type(event)
-                if kind in reactions:
-                    reactions[kind](event, now)
-                    count = len(events)
+                report = events[settled]
+                kind = type(report)
                 settled += 1
+                if kind in reactions:
+                    self._settled = settled  # what the reaction causes may be settled within it
+                    reactions[kind](report, now)
+                    settled, count = self._settled, len(events)
             self._settled = settled
             if settled > MAX_UNDRAINED_EVENTS:
                 self._shed()
@@ -177,18 +184,21 @@ class Network:
         self._now = now
         out, lone, times, frames, reactions = self.out, self._lone, self._times, self._frames, self._reactions
         root, events, routes, costs = out.root, out.events, self._routes, FRAME_BITS
-        root.quiet = self.quiet and self._nobody_waits()
+        root.quiet = self.quiet and not events and self._nobody_waits()
         bits = 0
         try:
             for item in received:
                 if not isinstance(item, tuple):
                     return item
                 frame: Frame = item[0]
+                key = frame.key
+                if events and self._tasks and frame.data in _BOOT_UPS:
+                    root.timestamp = None
+                    self._before_boot(key, now)
                 root.timestamp = item[1]
                 bits += costs[len(frame.data)]
                 if out.rerouted:
                     self._members.refresh()
-                key = frame.key
                 machine = lone[key] if key < SLOTS else None
                 if machine is not None:
                     machine.receive(frame, now)
@@ -199,11 +209,13 @@ class Network:
                 if settled < count:
                     root.quiet = False  # whoever is told of this may ask for what comes behind it
                     while settled < count:  # as in `receive`: a call would cost as much as all of it
-                        kind = type(events[settled])
-                        if kind in reactions:
-                            reactions[kind](events[settled], now)
-                            count = len(events)
+                        report = events[settled]
+                        kind = type(report)
                         settled += 1
+                        if kind in reactions:
+                            self._settled = settled
+                            reactions[kind](report, now)
+                            settled, count = self._settled, len(events)
                     self._settled = settled
                     if settled > MAX_UNDRAINED_EVENTS:
                         self._shed()
@@ -219,9 +231,13 @@ class Network:
         return None
 
     def _nobody_waits(self) -> bool:
-        """Return whether no procedure waits for the events of the usual traffic, or may do so once it is told of what was
-        reported."""
-        return not (self._tasks and (self.out.events or self.runner.waits_for_the_usual))
+        """Return whether no procedure waits for the events of the usual traffic."""
+        return not (self._tasks and self.runner.waits_for_the_usual)
+
+    def _before_boot(self, key: RoutingKey, now: Time) -> None:
+        """Feed what was reported before a boot-up, so that no procedure goes on by it behind the boot."""
+        if key & ~MAX_NODE_ID == ERROR_CONTROL:
+            self._feed(now)
 
     @property
     def last_heard(self) -> Time | None:
@@ -277,8 +293,7 @@ class Network:
 
     def next_deadline(self) -> Time:
         """Return when to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) if nothing changed."""
-        out = self.out
-        if out.armed or out.rerouted:
+        if self._armed or self._rerouted:
             self._members.refresh()
         heap = self._heap
         return heap[0][0] if heap else NEVER
@@ -300,18 +315,19 @@ class Network:
             now = self._now
         self._now = now
         frames, events = self._sent, self._told
-        to_deliver: list[Event] = []
         if events:  # a segment of a transfer tells nothing
             if len(events) > self._settled:
                 self._settle(now)
             if self._tasks:
                 self._feed(now)
-            to_deliver = [*events]
+            to_deliver: list[Event] = [*events]
             events.clear()
-            self._settled = 0
+            self._settled = self._fed = 0
             if self._dropped:
                 to_deliver.insert(0, EventsDropped(0, self._dropped))
                 self._dropped = 0
+        else:
+            to_deliver = []
         if not frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
             return [], to_deliver
         to_send = [*frames]
@@ -321,10 +337,9 @@ class Network:
     def _feed(self, now: Time) -> None:
         """Feed the events to the running procedures, and also the events that these cause."""
         events, root, observe = self.out.events, self.out.root, self.runner.observe
-        fed = 0
-        while self._tasks and fed < len(events):
-            observe(root, events[fed], now)
-            fed += 1
+        while self._tasks and self._fed < len(events):
+            self._fed += 1
+            observe(root, events[self._fed - 1], now)
             if len(events) > self._settled:
                 self._settle(now)
 
@@ -358,12 +373,13 @@ class Network:
     def _shed(self) -> None:
         """Drop the oldest notifications, down to half of the bound, so that the cost is spread."""
         events = self.out.events
-        excess = len(events) - MAX_UNDRAINED_EVENTS // 2
+        excess, fed = len(events) - MAX_UNDRAINED_EVENTS // 2, self._fed
         kept: list[Event] = []
-        for report in events:
+        for place, report in enumerate(events):
             if excess > 0 and not isinstance(report, Outcome):
                 excess -= 1
                 self._dropped += 1
+                self._fed -= place < fed
             else:
                 kept.append(report)
         events[:] = kept
@@ -371,11 +387,18 @@ class Network:
 
     def _on_sync(self, sync: SyncSent | SyncReceived, now: Time) -> None:
         counter, heard = sync.counter, isinstance(sync, SyncReceived)
-        for follower in self._followers.values():
+        for follower in self._present_followers():
             follower.on_sync(counter, now, heard=heard)
 
+    def _present_followers(self) -> Iterator[Follower]:
+        """Yield the followers that are attached, though what one of them does may detach another."""
+        followers = self._followers
+        for machine, each in followers.items():
+            if followers is self._followers or machine in self._followers:
+                yield each
+
     def _on_nmt_command(self, sent: NmtCommandSent, now: Time) -> None:
-        for follower in self._followers.values():
+        for follower in self._present_followers():
             if sent.node_id in (0, follower.node_id):
                 follower.on_nmt_command(sent.command, now)
 

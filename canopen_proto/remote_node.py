@@ -10,9 +10,10 @@ holds
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, which would undo a write by SDO. So a `write` of an
   object in `commanded` (a controlword) first sends each such RPDO with this object again, with the new value: the next SYNC then
   brings the last command;
-- `unread_pdos`: the PDOs that were exchanged as the device had them, and whose CAN-ID or mapping we have written since. What
-  their bytes mean is not known: such a TPDO is not received, such an RPDO not sent, until `add_tpdo` or `add_rpdo` says what they
-  are now. A PDO that its user has described stays as described;
+- `unread_pdos`: the PDOs that were exchanged as the device had them, and whose CAN-ID or mapping we have written since, or had
+  written before it booted: a reset undoes that, unless the device has stored it. What their bytes mean is not known: such a TPDO
+  is not received, such an RPDO not sent, until `add_tpdo` or `add_rpdo` says what they are now. A PDO that its user has described
+  stays as described;
 - `foreign_writes`: what other masters write to the node; it hears nothing unless it is asked to;
 - `nmt_state`: the state in its heartbeat; without a heartbeat, the state that we commanded. A heartbeat right after a command may
   have been sent before it: the command counts until NMT_REACTION_TIME is over. A node whose heartbeat is lost keeps its state.
@@ -20,7 +21,8 @@ holds
 The reactions (CiA 301 v4.2.0, 7.3.2.2, table 37):
 
     node boots, or is lost          open SDO requests are aborted: their answers will not come
-    node boots                      its values are old; its RPDOs must be enabled again: its mappings are the defaults
+    node boots                      its values are old; its RPDOs must be enabled again: its mappings are the defaults. What we
+                                    had set up anew goes into `unread_pdos`
     node Operational / not          its PDOs live / don't: RPDOs are not sent to a node that would ignore them
     SYNC sent or heard              synchronous RPDOs go out
     PDO received                    `values` is updated
@@ -102,6 +104,7 @@ class RemoteNode(Group):
         "rpdos",
         "sdo",
         "sdo_channels",
+        "set_up",
         "tpdos",
         "unread_pdos",
         "values",
@@ -137,6 +140,7 @@ class RemoteNode(Group):
         self.unread_pdos: set[tuple[Direction, int]] = set()
         self._read_pdos: set[tuple[Direction, int]] = set()
         self.pdo_writes = 0  # how often we have written a CAN-ID or a mapping: what was read meanwhile may be half old, half new
+        self.set_up: dict[tuple[Direction, int], int] = {}  # the same of each PDO, since the node booted
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, RoutingKey] = {}  # RPDO number -> key
         self.foreign_writes = ForeignWrites(self.inner, node_id, dictionary, self.rpdos)
@@ -148,7 +152,7 @@ class RemoteNode(Group):
         self._decoded: tuple[SdoUploaded, Codec, Value] | None = None  # the last upload: whoever asked for it wants its value too
         self._listeners: list[Callable[[Collection[Mux], Time], None]] = []
         self._boot_listeners: list[Callable[[], None]] = []
-        self._sync_listeners: list[Callable[[Time], None]] = []
+        self._sync_listeners: tuple[Callable[[Time], None], ...] = ()
         for machine in (self.sdo, self.heartbeat, self.emcy, self._mpdo_listener, self.foreign_writes):
             self._members.attach(machine)
         self._reactions.update(
@@ -383,7 +387,7 @@ class RemoteNode(Group):
         if producer is None:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
         if enabled and (Direction.RPDO, number) in self.unread_pdos:
-            text = f"RPDO {number} of node {self.node_id} was set up anew by SDO, and not read since; exchange it again first"
+            text = f"RPDO {number} of node {self.node_id} was set up anew, or reset, and not read since; exchange it again first"
             raise LocalProtocolError(text)
         (self._wanted.add if enabled else self._wanted.discard)(number)
         producer.set_enabled(enabled and self.is_operational, now)
@@ -476,11 +480,13 @@ class RemoteNode(Group):
         if on_boot is not None:
             self._boot_listeners.append(on_boot)
         if on_sync is not None:
-            self._sync_listeners.append(on_sync)
+            self._sync_listeners = (*self._sync_listeners, on_sync)
 
     def remove_sync_listener(self, on_sync: Callable[[Time], None]) -> None:
         """End the calls of a function that was given to `add_listener` as `on_sync`; ValueError if it was not."""
-        self._sync_listeners.remove(on_sync)
+        left = list(self._sync_listeners)
+        left.remove(on_sync)
+        self._sync_listeners = tuple(left)
 
     # ---- node guarding ----
 
@@ -505,8 +511,10 @@ class RemoteNode(Group):
         self.held.on_sync(now, heard)
         for producer in self.rpdos.values():
             producer.on_sync(counter, now)
-        for listener in self._sync_listeners:
-            listener(now)
+        listeners = self._sync_listeners
+        for listener in listeners:
+            if listeners is self._sync_listeners or listener in self._sync_listeners:  # else another one has removed it
+                listener(now)
 
     def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
         self._commanded_at = now
@@ -522,6 +530,10 @@ class RemoteNode(Group):
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
+        for where in self.set_up:
+            if where in self._read_pdos:
+                self._make_unread(where, now)
+        self.set_up.clear()
         self.assume_boot()
         self._on_lost(report, now)
 
@@ -613,17 +625,21 @@ class RemoteNode(Group):
             return
         self.pdo_writes += 1
         where = (place.direction, place.number)
+        self.set_up[where] = self.set_up.get(where, 0) + 1
         if where not in self._read_pdos:
             return
-        rpdo = self.rpdos[place.number] if place.direction is Direction.RPDO else None
-        key = self.tpdos[place.number].key if rpdo is None else rpdo.key
+        key = (self.rpdos if place.direction is Direction.RPDO else self.tpdos)[place.number].key
         if not place.is_mapping and isinstance(value, int) and key_of_cob_id(value) == key:
             return  # it is destroyed or created, on the CAN-ID that it has
-        if rpdo is not None:
-            self._wanted.discard(place.number)
-            rpdo.set_enabled(False, now)
+        self._make_unread(where, now)
+
+    def _make_unread(self, where: tuple[Direction, int], now: Time) -> None:
+        direction, number = where
+        if direction is Direction.RPDO:
+            self._wanted.discard(number)
+            self.rpdos[number].set_enabled(False, now)
         else:
-            self.remove_pdo(Direction.TPDO, place.number)
+            self.remove_pdo(direction, number)
         self.unread_pdos.add(where)
 
 

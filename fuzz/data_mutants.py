@@ -26,6 +26,7 @@ _MODULES: Final = "canopen_data/eds/modules.py"
 _EXPECTATIONS: Final = "canopen_check/expectations.py"
 _DICTIONARY: Final = "canopen_check/dictionary_cases.py"
 
+CONFIGURE: Final = ("tests/core/test_configure_pdo.py",)
 REWRITTEN: Final = ("tests/core/test_rewritten_pdos.py",)
 
 DATA_MUTANTS: Final = tuple(
@@ -183,7 +184,7 @@ DATA_MUTANTS: Final = tuple(
         (
             "decoded_by_the_old_mapping",
             "remote_node.py",
-            "            self.remove_pdo(Direction.TPDO, place.number)\n        self.unread",
+            "            self.remove_pdo(direction, number)\n        self.unread",
             "            pass\n        self.unread",
             "the values of a PDO that was mapped anew are those of other objects",
             REWRITTEN,
@@ -191,10 +192,26 @@ DATA_MUTANTS: Final = tuple(
         (
             "sent_by_the_old_mapping",
             "remote_node.py",
-            "            rpdo.set_enabled(False, now)",
+            "            self.rpdos[number].set_enabled(False, now)",
             "            pass",
             "a set-point lands in another object, since its RPDO was mapped anew",
             REWRITTEN,
+        ),
+        (
+            "mapped_as_before_the_reset",
+            "remote_node.py",
+            "            if where in self._read_pdos:\n",
+            "            if False:\n",
+            "a set-point lands in another object, since a reset has undone the mapping of its RPDO",
+            REWRITTEN,
+        ),
+        (
+            "half_of_one_half_of_another",
+            "pdo/configure.py",
+            "            if self._counted() != self._writes:",
+            "            if False:",
+            "two procedures set up one PDO, and each is told that the device has its mapping",
+            CONFIGURE,
         ),
         (
             "half_old_half_new",

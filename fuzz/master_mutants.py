@@ -131,8 +131,10 @@ MASTER_MUTANTS: Final = tuple(
             "end_before_the_rest",
             "canopen_master/participant/subscription.py",
             "        if not self._events:\n            await self._wait()\n        self._in_a_row",
-            "        if self._end is not None:\n            raise self._end\n        if not self._events:\n"
-            "            await self._wait()\n        self._in_a_row",
+            (
+                "        if self._end is not None:\n            raise self._end\n        if not self._events:\n"
+                "            await self._wait()\n        self._in_a_row"
+            ),
             "the end of the master swallows the events before it",
             EVENTS,
         ),

@@ -59,8 +59,8 @@ class InvalidPdoError(ProcedureError):
 
 
 class PdoRefusedError(ProcedureError):
-    """A device refused new settings of a PDO, or its old ones. step: the number of the step that failed or was cancelled, from 1
-    on. restored: whether the device has its old settings."""
+    """A device refused new settings of a PDO, or its old ones; or somebody else of this program wrote the PDO at the same time.
+    step: the number of the step that failed or was cancelled, from 1 on. restored: whether the device has its old settings."""
 
     def __init__(self, message: str, *, step: int, restored: bool) -> None:
         super().__init__(message)
@@ -88,12 +88,41 @@ def _text(settings: PdoSettings | None) -> str:
     return f"{settings.can_id_text} with {objects}"
 
 
+class _Mixed(ProcedureError):
+    """Somebody else of us wrote the PDO meanwhile."""
+
+
+class _Writing:
+    """Writes settings of a PDO. Ends, before the next step, if somebody else of us writes its CAN-ID or its mapping meanwhile:
+    what the device has then is nobody's. done: the steps that were answered."""
+
+    def __init__(self, node: PdoNode, settings: PdoSettings, present: int) -> None:
+        self.steps = settings.steps(present)
+        self.done = 0
+        self._node = node
+        self._place = settings.place
+        self._writes = self._counted()
+
+    def run(self) -> Procedure[None]:
+        """Raises SdoTransferError, LocalProtocolError, _Mixed."""
+        for index, subindex, data in self.steps:
+            yield from download(self._node.sdo, index, subindex, data)
+            self.done += 1
+            self._writes += index == mapping_index(*self._place) or subindex == COB_ID
+            if self._counted() != self._writes:
+                raise _Mixed("somebody else of this program wrote this PDO at the same time; what it has now is not known")
+
+    def _counted(self) -> int:
+        return self._node.set_up.get(self._place, 0)
+
+
 class PdoNode(ObjectAccess, Protocol):
     """A node whose PDOs can be read, written and exchanged: a RemoteNode, which stands above this room."""
 
     sdo: SdoClient
     pdo_writes: int
     rpdos: dict[int, PdoProducer]
+    set_up: dict[tuple[Direction, int], int]
     unread_pdos: set[tuple[Direction, int]]
 
     def add_pdo(self, description: PdoDescription, now: Time, *, number: int | None = None, transmission_type: int = 1) -> object:
@@ -161,7 +190,8 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
     described (`RemoteNode.add_pdo`) stays as described.
 
     The node must be Pre-operational for most devices. Raises PdoRefusedError, which names the step, the abort and the settings in
-    force now; or, as `read_pdo` does, an error while reading the old settings: nothing was written then.
+    force now, and also if somebody else of this program writes the PDO at the same time; or, as `read_pdo` does, an error while
+    reading the old settings: nothing was written then.
     """
     before = yield from read_pdo(node, *settings.place)
     index = communication_index(*settings.place)
@@ -169,28 +199,29 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
         before = replace(before, inhibit_time=(yield from _number(node, index, INHIBIT_TIME, 2)) * INHIBIT_UNIT)
     if settings.event_time is not None:
         before = replace(before, event_time=(yield from _number(node, index, EVENT_TIMER, 2)) * MILLISECOND)
-    steps = settings.steps(before.cob_id)
+    writing = _Writing(node, settings, before.cob_id)
     name = f"{settings.name} of node {node.node_id}"
-    done = 0
     try:
-        for step in steps:
-            yield from download(node.sdo, *step)
-            done += 1
+        yield from writing.run()
     except Cancelled:
         try:
-            yield from _put_back(node, before, settings, done, len(steps))
-        except _FAILURES as failed:
+            yield from _put_back(node, before, settings, writing)
+        except (*_FAILURES, _Mixed) as failed:
             message = f"setting {name} up was cancelled, and its old settings could not be put back: {failed}"
-            raise PdoRefusedError(message, step=done + 1, restored=False) from failed
+            raise PdoRefusedError(message, step=writing.done + 1, restored=False) from failed
         raise
+    except _Mixed as mixed:  # nothing is put back: the other one still writes, too
+        message = f"{name} could not be set up: step {writing.done} of {len(writing.steps)}: {mixed}"
+        raise PdoRefusedError(message, step=writing.done, restored=False) from mixed
     except _FAILURES as refused:
-        what = " = ".join(step_text(steps[done]))
-        message = f"{name} could not be set up: step {done + 1} of {len(steps)} ({what}): {refused}"
+        done = writing.done
+        what = " = ".join(step_text(writing.steps[done]))
+        message = f"{name} could not be set up: step {done + 1} of {len(writing.steps)} ({what}): {refused}"
         in_doubt = isinstance(refused, SdoTransferError) and refused.origin is not AbortOrigin.PEER
         if done or in_doubt:  # else nothing has changed
             try:
-                yield from _put_back(node, before, settings, done, len(steps))
-            except _FAILURES as failed:
+                yield from _put_back(node, before, settings, writing)
+            except (*_FAILURES, _Mixed) as failed:
                 message += f"; and its old settings could not be put back: {failed}"
                 raise PdoRefusedError(message, step=done + 1, restored=False) from refused
         raise PdoRefusedError(f"{message}; it has its old settings", step=done + 1, restored=True) from refused
@@ -198,11 +229,10 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
     return before
 
 
-def _put_back(node: PdoNode, before: PdoSettings, settings: PdoSettings, done: int, count: int) -> Procedure[None]:
-    """Write the old settings. The step after the `done` ones may have been executed: an answer may have been lost."""
-    present = settings.cob_id if done == count - 1 else before.cob_id  # a strict device wants this COB-ID when it is destroyed
-    for step in before.steps(present):
-        yield from download(node.sdo, *step)
+def _put_back(node: PdoNode, before: PdoSettings, settings: PdoSettings, writing: _Writing) -> Procedure[None]:
+    """Write the old settings. The step after the last that was answered may have been executed: an answer may have been lost."""
+    is_created = writing.done == len(writing.steps) - 1  # a strict device wants this COB-ID when it is destroyed
+    yield from _Writing(node, before, settings.cob_id if is_created else before.cob_id).run()
     yield from _renew(node, before)
 
 

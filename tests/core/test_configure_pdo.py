@@ -404,3 +404,24 @@ def test_where_a_cancel_can_not_put_the_old_settings_back_it_is_told() -> None:
     assert isinstance(outcome.clean_up_error, PdoRefusedError)
     assert "setting RPDO 1 of node 5 up was cancelled, and its old settings could not be put back" in str(outcome.clean_up_error)
     assert not outcome.clean_up_error.restored
+
+
+def test_whoever_sets_up_a_pdo_beside_another_is_not_told_that_it_is_done() -> None:
+    """Their downloads take turns on the wire: the device would have some entries of the one and some of the other."""
+    bench = Bench()
+    for settings in (NEW, replace(NEW, entries=(0x20020008,))):
+        bench.start(configure_pdo(bench.remote, settings))
+    bench.bus.settle()
+    errors = [each.error for each in bench.bus.take_events(ProcedureFailed)]
+    assert not bench.bus.take_events(ProcedureFinished)
+    for error in errors:
+        assert isinstance(error, PdoRefusedError)
+        assert not error.restored
+    assert [str(each) for each in errors] == [
+        f"RPDO 1 of node 5 could not be set up: step {step}: somebody else of this program wrote this PDO at the same time; "
+        "what it has now is not known"
+        for step in ("1 of 6", "2 of 7")
+    ]
+    stored = bench.device.values.store[0x140001]
+    assert isinstance(stored, int)
+    assert stored & COB_ID_INVALID  # the device has it destroyed: nobody has made a mixture valid

@@ -18,13 +18,15 @@ from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Machine, Time
 from canopen_proto.multiplexer import mux
-from canopen_proto.network import Network
-from canopen_proto.nmt import NmtState
+from canopen_proto.network import MAX_UNDRAINED_EVENTS, EventsDropped, Network
+from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
-from canopen_proto.procedures.steps import Procedure, Wait, wait_for_event
+from canopen_proto.procedures.runner import ProcedureFailed
+from canopen_proto.procedures.steps import Procedure, Wait, upload, wait_for_event
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.client import SdoAborted
+from canopen_proto.sdo.client import SdoAborted, SdoUploaded
+from canopen_proto.sync import SyncConsumer
 
 NODE = 12
 TPDO = 0x180 + NODE
@@ -273,3 +275,130 @@ def test_a_watch_that_begins_behind_a_boot_up_notices_silence() -> None:
     assert network.next_deadline() == 2 + TIMEOUT
     network.handle_timeout(2 + TIMEOUT)
     assert HeartbeatLost in [type(event) for event in network.drain(2 + TIMEOUT)[1]]
+
+
+@both_ways
+def test_behind_a_report_of_another_burst_a_quiet_network_reports_all_that_comes_until_it_is_drained(take: Take) -> None:
+    """A report of the transport cuts a burst in two, and both are drained together."""
+    network, _ = watched_node()
+    network.receive(Frame(HEARTBEAT, b"\x05"), 0)
+    network.drain(0)
+    network.quiet = True
+    take(network, iter([(Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), None)]), 1)
+    take(network, iter([(Frame(HEARTBEAT, b"\x05"), None), (Frame(TPDO, bytes(8)), None)]), 1)
+    assert kinds_told(network, 1) == ["EmcyReceived", "HeartbeatReceived", "PdoReceived"]
+
+
+SYNC = Frame(0x080, b"")
+
+
+def with_sync() -> tuple[Network, RemoteNode]:
+    network, node = watched_node()
+    network.attach(SyncConsumer(network.out))
+    return network, node
+
+
+@both_ways
+def test_a_procedure_that_a_sync_starts_does_not_make_it_two(take: Take) -> None:
+    network, node = with_sync()
+    node.add_rpdo(1, routing_key(0x200 + NODE), Mapping(ENTRIES), 1)
+    node.on_nmt_command(NmtCommand.START, 0)
+    node.enable_rpdo(1, 0)
+    heard: list[Time] = []
+
+    def on_sync(now: Time) -> None:
+        heard.append(now)
+        network.run(after(EmcyReceived, node), now)
+
+    node.add_listener(on_sync=on_sync)
+    take(network, iter([(SYNC, None), (SYNC, None)]), 1)
+    assert heard == [1, 1]
+    assert [frame.can_id for frame in network.drain(1)[0]] == [0x200 + NODE] * 2
+
+
+@both_ways
+def test_a_listener_of_the_sync_that_leaves_takes_no_sync_from_another_one(take: Take) -> None:
+    network, node = with_sync()
+    heard: list[str] = []
+
+    def once(now: Time) -> None:
+        heard.append("once")
+        node.remove_sync_listener(once)
+        node.remove_sync_listener(third)
+
+    def second(now: Time) -> None:
+        heard.append("second")
+
+    def third(now: Time) -> None:
+        heard.append("third")
+
+    for each in (once, second, third):
+        node.add_listener(on_sync=each)
+    take(network, iter([(SYNC, None), (SYNC, None)]), 1)
+    assert heard == ["once", "second", "second"]
+
+
+@both_ways
+def test_a_node_that_comes_or_goes_at_a_sync_takes_no_sync_from_another_one(take: Take) -> None:
+    network, node = with_sync()
+    gone, last, new = (RemoteNode(network.out, number, DICTIONARY) for number in (13, 14, 15))
+    for each in (gone, last):
+        network.attach(each)
+
+    def on_sync(now: Time) -> None:
+        network.detach(gone)
+        network.attach(new)
+
+    node.add_listener(on_sync=on_sync)
+    take(network, iter([(SYNC, None)]), 1)
+    assert [each.last_sync for each in (node, gone, last)] == [1, None, 1]
+    take(network, iter([(SYNC, None)]), 2)
+    assert [each.last_sync for each in (node, gone, last, new)] == [2, None, 2, 2]
+
+
+def reading(node: RemoteNode, answers: list[bytes]) -> Procedure[None]:
+    answers.append((yield from upload(node.sdo, LOW, 0)))
+    answers.append((yield from upload(node.sdo, HIGH, 0)))
+
+
+@both_ways
+@pytest.mark.parametrize("boot_up", [b"\x00", b"\x80"])
+def test_whatever_comes_in_a_burst_with_a_boot_up_never_does_a_procedure_go_on_over_the_boot(take: Take, boot_up: bytes) -> None:
+    """Its next request is open when the boot-up is handled, as if there had been a drain between the two frames."""
+    network, node = watched_node()
+    answers: list[bytes] = []
+    request_id = network.run(reading(node, answers), 0)
+    assert [str(frame) for frame in network.drain(0)[0]] == ["60C#4001200000000000"]
+    answer = Frame.parse("58C#4301200001000000")
+    take(network, iter([(answer, 5), (Frame(HEARTBEAT, boot_up), 6), (Frame(HEARTBEAT, b"\x7f"), 7)]), 1)
+    frames, events = network.drain(1)
+    assert answers == [bytes.fromhex("01000000")]
+    (ended,) = [event for event in events if isinstance(event, ProcedureFailed)]
+    assert (ended.request_id, str(ended.error)) == (
+        request_id,
+        "reading 0x2002:00 of node 12 was given up: 0x060A0023, resource not available: SDO connection",
+    )
+    assert [str(frame) for frame in frames] == ["60C#4002200000000000", "60C#8002200023000A06"]
+    assert [type(event) for event in events][:2] == [SdoUploaded, NodeBooted]
+    assert [getattr(event, "timestamp", None) for event in events if isinstance(event, NodeBooted)] == [6]
+
+
+def test_whatever_was_dropped_meanwhile_a_procedure_gets_each_event_once_that_is_left_behind_a_boot_up() -> None:
+    network, node = watched_node()
+    emergency = (Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), None)
+    counted: list[Event] = []
+
+    def counting() -> Procedure[None]:
+        while True:
+            event = yield Wait(None, node, lambda each: True, (EmcyReceived,))
+            assert isinstance(event, EmcyReceived)
+            counted.append(event)
+
+    network.run(counting(), 0)
+    many = MAX_UNDRAINED_EVENTS
+    network.receive_many(iter([emergency] * 10 + [(Frame(HEARTBEAT, b"\x00"), None)]), 0)
+    assert len(counted) == 10
+    network.receive_many(iter([emergency] * many), 0)
+    dropped = next(event.count for event in network.drain(0)[1] if isinstance(event, EventsDropped))
+    assert dropped > 12  # those that were fed, and the two events of the boot, among them
+    assert len({id(event) for event in counted}) == len(counted) == many + 10 - (dropped - 12)

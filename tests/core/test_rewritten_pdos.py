@@ -1,5 +1,6 @@
-"""PDOs that we write while they are exchanged: whoever of us writes one, in whatever way and however far it gets, a value that
-comes by a PDO is the device's or none, and nothing that we send lands in another object.
+"""PDOs that we write while they are exchanged: whoever of us writes one, in whatever way and however far it gets, and whenever
+the device is reset, a value that comes by a PDO is the device's or none, and nothing that we send lands in another object. The
+master may take in what has come in bursts.
 
 The oracle: each object of the device has one value for ever, and no two have a byte in common. So a wrong mapping shows.
 """
@@ -15,15 +16,16 @@ from hypothesis import strategies as st
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.frame import COB_ID_INVALID, Frame
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.network import Network
-from canopen_proto.nmt import NmtCommand
-from canopen_proto.pdo.configure import configure_pdo, exchange_device_pdos, use_device_pdo
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.configure import PdoRefusedError, configure_pdo, exchange_device_pdos, use_device_pdo
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, download
 from canopen_proto.remote_node import RemoteNode
 from tests.core.bus import Bus
@@ -62,12 +64,38 @@ def entries_of(direction: Direction) -> list[int]:
     return [index << 16 | (8 if data_type is U8 else 16) for index, (data_type, _) in objects.items()]
 
 
-class World:
-    """A device whose objects never change, and a master with two PDOs of each direction."""
+class Stalled(Network):
+    """Takes in what has come only so long (ns) after the first of it, all at once."""
 
-    def __init__(self, loss: float) -> None:
+    def __init__(self, stall: Time) -> None:
+        super().__init__()
+        self.stall = stall
+        self.due = NEVER
+        self.left: list[tuple[Frame, None]] = []
+
+    def receive(self, frame: Frame, now: Time, timestamp: int | None = None) -> None:
+        self.left.append((frame, None))
+        self.due = min(self.due, now + self.stall)
+
+    def next_deadline(self) -> Time:
+        return min(super().next_deadline(), self.due)
+
+    def handle_timeout(self, now: Time) -> None:
+        if now >= self.due:
+            burst, self.left, self.due = self.left, [], NEVER
+            assert self.receive_many(iter(burst), now) is None
+        super().handle_timeout(now)
+
+
+class World:
+    """A device whose objects never change, and a master with two PDOs of each direction. stall: ns, see Stalled; 0: it takes in
+    each frame by itself."""
+
+    def __init__(self, loss: float, stall: Time = 0) -> None:
+        self.loss = loss
+        self.stall = stall
         self.bus = Bus(seed=1)
-        self.master = self.bus.attach(Network())
+        self.master = self.bus.attach(Stalled(stall) if stall else Network())
         self.remote = RemoteNode(self.master.out, NODE, dictionary())
         self.master.attach(self.remote)
         network = self.bus.attach(Network())
@@ -77,13 +105,29 @@ class World:
         self.bus.run(SECOND)
         self.device.values.store.update(VALUE)
         self.remote.values.store.update(VALUE)
-        self.device.execute(NmtCommand.START, self.bus.now)
-        self.remote.on_nmt_command(NmtCommand.START, self.bus.now)
+        self.start()
         self.received = 0
         self.bus.disturb((100 * MICROSECOND, 100 * MICROSECOND), loss)
 
+    def reset(self) -> None:
+        """Reset the device; its objects have their values again at once. Its boot-up is never lost."""
+        self.bus.pump()
+        self.bus.disturb((100 * MICROSECOND, 100 * MICROSECOND))
+        self.device.execute(NmtCommand.RESET_NODE, self.bus.now)
+        self.device.values.store.update(VALUE)
+        self.bus.pump()
+        self.bus.disturb((100 * MICROSECOND, 100 * MICROSECOND), self.loss)
+
+    def start(self) -> None:
+        """Start the device, once the master has heard what was on its way."""
+        self.bus.run(self.stall + MILLISECOND)
+        self.device.execute(NmtCommand.START, self.bus.now)
+        self.remote.on_nmt_command(NmtCommand.START, self.bus.now)
+
     def look(self) -> None:
         """Have all be sent that can be sent, and compare."""
+        if self.device.state is not NmtState.OPERATIONAL:
+            self.start()
         now = self.bus.now
         for index in INPUTS:
             self.device.pdos.trigger(index << 8, now)
@@ -94,7 +138,7 @@ class World:
                 assert (Direction.RPDO, number) in self.remote.unread_pdos
             producer.trigger(now)
         self.remote.on_sync(None, now)
-        self.bus.run(2 * MILLISECOND)
+        self.bus.run(2 * MILLISECOND + self.stall)
         for event in self.bus.events:
             if isinstance(event, PdoReceived):
                 self.received += 1
@@ -139,21 +183,22 @@ def steps() -> st.SearchStrategy[list[tuple[Any, ...]]]:
             st.tuples(st.just("by hand"), st.just(where), cob_id, entries, left_out),
             st.tuples(st.just("use"), st.just(where)),
             st.just(("exchange all",)),
+            st.just(("reset",)),
             st.just(("look",)),
         )
 
     return st.lists(st.tuples(place.flatmap(of), st.sampled_from([0, 1, 2, 3, 5, 8, 13, 40, 80])), min_size=3, max_size=8)
 
 
-@given(steps(), st.sampled_from([0.0, 0.0, 0.1]))
+@given(steps(), st.sampled_from([0.0, 0.0, 0.1]), st.sampled_from([0, 0, MILLISECOND, 5 * MILLISECOND, 100 * MILLISECOND]))
 @examples(600)
 def test_a_value_by_pdo_is_the_devices_or_none_whoever_of_us_writes_the_pdo(
-    all_steps: list[tuple[Any, ...]], loss: float
+    all_steps: list[tuple[Any, ...]], loss: float, stall: Time
 ) -> None:
-    world = World(loss)
+    world = World(loss, stall)
     remote, network = world.remote, world.master
     network.run(exchange_device_pdos(remote), world.bus.now)
-    world.bus.run(SECOND)
+    world.bus.run(5 * SECOND)
     world.look()
     for (what, *more), quarters in all_steps:
         now = world.bus.now
@@ -169,6 +214,8 @@ def test_a_value_by_pdo_is_the_devices_or_none_whoever_of_us_writes_the_pdo(
             network.run(use_device_pdo(remote, *more[0]), now)
         elif what == "exchange all":
             network.run(exchange_device_pdos(remote), now)
+        elif what == "reset":
+            world.reset()
         else:
             world.look()
         world.bus.run(quarters * MILLISECOND // 4)
@@ -181,7 +228,7 @@ def test_a_value_by_pdo_is_the_devices_or_none_whoever_of_us_writes_the_pdo(
             exchanged = remote.tpdos[pdo.number]
             assert (exchanged.key, exchanged.mapping.parameters) == (pdo.key, pdo.entries)
     world.master.run(exchange_device_pdos(world.remote), world.bus.now)
-    world.bus.run(SECOND)
+    world.bus.run(10 * SECOND)
     assert not world.remote.unread_pdos
     before = world.received
     world.look()
@@ -233,6 +280,65 @@ def test_a_pdo_that_is_moved_while_it_is_read_is_received_where_it_is(wait: int)
         world.remote.sdo.download(0x1800, 1, cob_id.to_bytes(4, "little"), world.bus.now)
     world.bus.run(SECOND)
     assert (Direction.TPDO, 1) in world.remote.unread_pdos or world.remote.tpdos[1].key == 0x195
+
+
+def test_whatever_resets_a_device_never_is_a_pdo_used_by_the_mapping_that_the_reset_has_undone() -> None:
+    world = World(0.0)
+    remote, network, bus = world.remote, world.master, world.bus
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    for direction, cob_id, entry in ((Direction.RPDO, 0x205, 0x3001_0008), (Direction.TPDO, 0x185, 0x2001_0008)):
+        network.run(configure_pdo(remote, PdoSettings(1, direction, cob_id, 255, (entry,))), bus.now)
+        bus.run(SECOND)
+    world.look()
+    assert not remote.unread_pdos
+    world.reset()
+    world.look()
+    assert remote.unread_pdos == {(Direction.RPDO, 1), (Direction.TPDO, 1)}  # number 2 is as it was
+    with pytest.raises(LocalProtocolError, match="RPDO 1 of node 5 was set up anew, or reset"):
+        remote.enable_rpdo(1, bus.now)
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    world.reset()
+    world.look()
+    assert not remote.unread_pdos  # nobody has written it since the last boot
+
+
+@pytest.mark.parametrize("quarters", range(0, 14, 2))
+@pytest.mark.parametrize("direction", Direction)
+def test_whoever_sets_up_a_pdo_beside_another_never_are_both_told_that_it_is_done(direction: Direction, quarters: int) -> None:
+    """The downloads of two procedures take turns on the wire: the device has some entries of the one and some of the other."""
+    world = World(0.0)
+    remote, network, bus = world.remote, world.master, world.bus
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    cob_id = CAN_IDS[direction, 1][0]
+    first, second, third = entries_of(direction)[:3]
+    ours = [
+        PdoSettings(1, direction, cob_id, 255, (first, second, third)),
+        PdoSettings(1, direction, cob_id, 255, (first, third)),
+    ]
+    ids = []
+    for settings in ours:
+        ids.append(network.run(configure_pdo(remote, settings), bus.now))
+        bus.run(quarters * MILLISECOND // 4)
+    bus.run(SECOND)
+    ended = {each.request_id: each for each in bus.events if isinstance(each, (ProcedureFinished, ProcedureFailed))}
+    store: Any = world.device.values.store
+    record = (0x1600 if direction is Direction.RPDO else 0x1A00) << 8
+    held = tuple(store[record | subindex] for subindex in range(1, store[record] + 1))
+    done = [settings for settings, each in zip(ours, ids, strict=True) if isinstance(ended[each], ProcedureFinished)]
+    assert not done or done[-1].entries == held
+    for each in ids:
+        error = getattr(ended[each], "error", None)
+        if error is not None:
+            assert isinstance(error, PdoRefusedError)
+            assert not error.restored
+            assert "somebody else of this program wrote this PDO at the same time" in str(error)
+    world.look()
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    world.look()
 
 
 def of_eight_objects() -> ObjectDictionary:
