@@ -236,18 +236,36 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "impatience_reaches_the_chain",
             _SERVICE,
-            "                if timeout is not None and not self.is_moved(node):\n",
-            "                if timeout is not None:\n",
+            "            patience = None if self.service.is_moved(node) else timeout\n            return",
+            "            patience = timeout\n            return",
             "a client that waits a millisecond only stops the chain whose joint it asks",
             SERVICE,
         ),
         (
             "time_out_stays",
             _SERVICE,
-            "                    client.timeout, client.max_upload = before\n",
-            "                    client.max_upload = before[1]\n",
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            (
+                "            node.remote.sdo.timeout = round((patience or 0.5) * 1e9)\n"
+                "            return await node.read_bytes(index, subindex, block=block)\n"
+            ),
             "the time-out of one client counts for all who come after it",
             COMMANDS,
+        ),
+        (
+            "impatience_reaches_a_halt",
+            _SERVICE,
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            (
+                "            before, client = node.remote.sdo.timeout, node.remote.sdo\n"
+                "            client.timeout = before if patience is None else round(patience * 1e9)\n"
+                "            try:\n"
+                "                return await node.read_bytes(index, subindex, block=block)\n"
+                "            finally:\n"
+                "                client.timeout = before\n"
+            ),
+            "while a client that only reads waits a millisecond for a drive, nobody's halt of that drive is confirmed",
+            LEASE,
         ),
         (
             "ears_left_behind",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 import trio
@@ -11,9 +12,15 @@ import trio
 from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllowedError
 from canopen_gateway.lease import LEASE_TIME
 from canopen_master import Chain, ChainState, Host, open_master
+from canopen_master.simulation.host import standard_drives
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtCommand
+from canopen_proto.simulation.drive.answers import Answer
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
 from tests.gateway.gateway_world import TextClient, gateway
 from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
@@ -420,3 +427,81 @@ async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id
         with service.open_session("other") as other:
             assert not await sends(other, NmtCommand.RESET_NODE, node_id)
             assert await sends(other, NmtCommand.RESET_NODE, 4)
+
+
+# ---- beside clients that do not wait ----
+
+
+def answers_in_5_ms(host: Host) -> None:
+    """As real drives do: more than the shortest time-out of a client, and far less than the master's."""
+    for node in drives(host):
+        for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
+            node.answer(index_of(key), 0, Answer(delay=5 * MILLISECOND))
+
+
+@asynccontextmanager
+async def impatient_reader(service: GatewayService, node_id: int) -> AsyncIterator[None]:
+    """A client that may only read asks a drive for its state while the block runs, and waits 1 ms for each answer."""
+    with service.open_session("a reader") as session:
+        client = TextClient(session)
+        assert await client.say("[1] set sdo_timeout 1") == "[1] OK"
+
+        async def read() -> None:
+            while True:
+                await client.say(f"[2] {node_id} r 0x6041 0 u16")
+                await trio.sleep(0.001)
+
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(read)
+            yield
+            nursery.cancel_scope.cancel()
+
+
+@asynccontextmanager
+async def running_drive(**options: Any) -> AsyncIterator[tuple[Host, GatewayService]]:
+    """A gateway, and a drive on node 5 that runs at a velocity (pv): a client has said so, by single writes."""
+    makers = standard_drives(5, settings=DriveSettings(track=Track(-1e9, 1e9)))
+    async with gateway(allow="motion,nmt", makers=makers, **options) as (host, service):
+        with service.open_session("hand") as session:
+            client = TextClient(session)
+            await client.say("[1] 5 w 0x6060 0 i8 3")
+            for word in ("0x80", "6", "7", "0xF"):
+                assert await client.say(f"[1] 5 w 0x6040 0 u16 {word}") == "[1] OK"
+                await trio.sleep(0.6)
+            assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+            await trio.sleep(0.6)
+        assert is_moving(host)
+        yield host, service
+
+
+@virtual_time
+async def test_however_little_a_reader_waits_a_halt_stops_the_drive_and_is_confirmed() -> None:
+    async with running_drive() as (host, service):
+        answers_in_5_ms(host)
+        async with impatient_reader(service, 5):
+            await trio.sleep(0.1)
+            assert await service.halt() == []
+            assert not is_moving(host)
+
+
+@virtual_time
+async def test_however_little_a_reader_waits_the_owner_gives_power() -> None:
+    async with machine() as (host, service, arm):
+        answers_in_5_ms(host)
+        with service.open_session("hand") as session:
+            async with impatient_reader(service, 3):
+                await Owner(service, session).ready(arm)
+
+
+@virtual_time
+async def test_however_little_a_client_waits_the_drive_is_asked_whether_it_has_power() -> None:
+    async with gateway(3, allow="program") as (host, service), open_master(await open_transport(BUS)) as program:
+        await service.find_nodes(service.nets[0])
+        for word in (0x80, 0x6, 0x7, 0xF):
+            await program.node(3).write("controlword", word)
+            await trio.sleep(0.6)
+        answers_in_5_ms(host)
+        with service.open_session("other") as session:
+            client = TextClient(session)
+            await client.say("[1] set sdo_timeout 1")
+            assert (await client.say("[2] 3 w 0x1F51 1 u8 0")).startswith("[2] ERROR:102 #writing 0x1F51:01 of node 3")
