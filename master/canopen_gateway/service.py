@@ -306,7 +306,7 @@ class GatewaySession:
             # asked when its turn has come: the lease may have been taken meanwhile
             if permission is Permission.MOTION:
                 self.service.lease.require_free(self, what)
-                self.service.lease.note_command(node)
+                self.service.lease.note_command(node, index)
             elif permission is Permission.PROGRAM:  # which may start the device anew
                 await self.service.lease.require_no_power(self, net, node_id, what)
             elif permission is Permission.NMT:  # which may have this device command all others
@@ -440,6 +440,7 @@ class GatewaySession:
         self.service.guard.require(Permission.MOTION, "sending a PDO")
         self.service.lease.require_free(self, "sending a PDO")
         port = self._port(net, False, number)
+        self.service.lease.note_pdo(net)
         with self.service.under_way:
             await self.service.master.run(act(lambda now: port.send(values, now)))
 

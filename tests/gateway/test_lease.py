@@ -13,6 +13,7 @@ from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllow
 from canopen_gateway.lease import LEASE_TIME
 from canopen_master import Chain, ChainState, Host, open_master
 from canopen_master.simulation.host import standard_drives
+from canopen_proto import LocalNode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
@@ -20,8 +21,10 @@ from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulation.drive.answers import Answer
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
+from tests.core.devices import io_device
 from tests.gateway.gateway_world import TextClient, gateway
 from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
 
@@ -427,6 +430,69 @@ async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id
         with service.open_session("other") as other:
             assert not await sends(other, NmtCommand.RESET_NODE, node_id)
             assert await sends(other, NmtCommand.RESET_NODE, 4)
+
+
+# ---- drives that nobody here has given power ----
+
+POWER = (0x6, 0x7, 0xF)
+
+
+@asynccontextmanager
+async def beside_another_program(*words: int, velocity: int = 0) -> AsyncIterator[tuple[DriveNode, GatewayService, TextClient]]:
+    """A drive in mode pv (node 5), a device that is no drive (node 7), and their gateway. words: controlwords that another
+    program has given the drive. velocity: its target, by that program."""
+    makers = [*standard_drives(5, settings=DriveSettings(track=Track(-1e9, 1e9))), lambda out: LocalNode(out, 7, io_device())]
+    async with gateway(allow="motion,nmt", makers=makers) as (host, service), open_master(await open_transport(BUS)) as program:
+        node = program.node(5)
+        await node.write_bytes(0x6060, 0, b"\3")
+        await program.nmt_start(5)
+        await node.write_bytes(0x60FF, 0, velocity.to_bytes(4, "little"))
+        for word in (0x80, *words):
+            await node.write("controlword", word)
+            await trio.sleep(0.6)
+        await service.find_nodes(service.nets[0])
+        drive = host.nodes[0]
+        assert isinstance(drive, DriveNode)
+        with service.open_session("hand") as session:
+            yield drive, service, TextClient(session)
+
+
+async def moves(drive: DriveNode) -> bool:
+    await trio.sleep(0.6)
+    return value(drive, VELOCITY_ACTUAL_VALUE) != 0
+
+
+@virtual_time
+async def test_whoever_gave_a_drive_power_a_halt_stops_what_a_client_has_set_moving() -> None:
+    async with beside_another_program(*POWER) as (drive, service, client):
+        await service.halt()
+        assert not value(drive, 0x6040_00) & 0x100  # nobody here has commanded it
+        assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+        assert await moves(drive)
+        assert await service.halt() == []
+        assert not await moves(drive)
+
+
+@virtual_time
+async def test_a_halt_stops_what_a_client_has_set_moving_by_a_pdo() -> None:
+    async with beside_another_program(velocity=20_000) as (drive, service, client):
+        assert await client.say("[1] set tpdo 1 0x205 event 1 u16") == "[1] OK"
+        for word in POWER:
+            assert await client.say(f"[2] w pdo 1 1 {word}") == "[2] OK"
+            await trio.sleep(0.6)
+        assert await moves(drive)
+        assert await service.halt(service.nets[0]) == []  # and node 7 is no drive
+        assert not await moves(drive)
+
+
+@virtual_time
+async def test_what_a_client_has_set_moving_and_is_silent_is_named_by_a_halt() -> None:
+    async with beside_another_program(*POWER) as (drive, service, client):
+        assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+        drive.answer(0x6041, 0, Answer(delay=60_000 * MILLISECOND))
+        (problem,) = await service.halt()
+        assert problem.startswith("node 5 on")
+        drive.answer(0x6041, 0, Answer())
 
 
 # ---- beside clients that do not wait ----
