@@ -255,6 +255,16 @@ async def test_a_path_is_refused_before_anything_moves(case: str) -> None:
 
 
 @virtual_time
+async def test_whatever_limits_are_lifted_no_joint_jumps_to_the_start_of_a_path() -> None:
+    path, failed, _ = REFUSED["begins elsewhere"]
+    async with arms(2, axis=replace(AXIS, max_speed=math.inf, max_acceleration=math.inf)) as (_, [arm], record):
+        for given in (path, lambda start: path):
+            with pytest.raises(PathRefusedError, match=failed):
+                await arm.follow(given)
+        assert record.largest(1) == 0
+
+
+@virtual_time
 async def test_what_else_is_refused() -> None:
     async with arms(2) as (_, [arm], record):
         with pytest.raises(PathError, match="from 0"):
