@@ -326,9 +326,17 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "refused_jog_counts",
             _LEASE,
-            "        self.renew(session, sequence)\n        self._require_power(chain)\n        self._wanted = list(",
-            "        self._wanted = list(velocities)\n        self.renew(session, sequence)\n        list(",
+            "        self.renew(session, sequence)\n        self._require_power(chain)\n        self._wanted, self._wanted_at =",
+            "        self._wanted = list(velocities)\n        self.renew(session, sequence)\n        _, self._wanted_at =",
             "velocities of a client that is refused move the machine if they come while a jog begins",
+            LEASE,
+        ),
+        (
+            "jog_of_long_ago",
+            _LEASE,
+            "                if trio.current_time() - self._wanted_at < LEASE_TIME:",
+            "                if self._wanted:",
+            "joints that need a second to follow begin to move by a jog that nobody has renewed since",
             LEASE,
         ),
         (

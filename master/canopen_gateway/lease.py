@@ -85,6 +85,7 @@ class Lease:
         self._jogged = ""
         self._jog: Jog | None = None
         self._wanted: list[float] = []
+        self._wanted_at = -math.inf  # when these velocities came
         self._commanded: dict[Node, set[int]] = {}  # by single writes; and which axes of it nobody has seen at rest since
         self._pdos_sent: set[str] = set()  # the nets on which a client has sent PDOs
         self._halted_by_hand: set[str] = set()  # chains that somebody has halted, and nobody has enabled since
@@ -218,12 +219,12 @@ class Lease:
         if self.doing != "jog" or self._jogged != chain:
             arm = self._begin(session, sequence, chain, "jog")
             self._require_power(chain)
-            self._jogged, self._wanted = chain, list(velocities)
+            self._jogged, self._wanted, self._wanted_at = chain, list(velocities), trio.current_time()
             self._run("jog", lambda: self._jogging(arm))
             return
         self.renew(session, sequence)
         self._require_power(chain)
-        self._wanted = list(velocities)
+        self._wanted, self._wanted_at = list(velocities), trio.current_time()
         if self._jog is not None:
             try:
                 self._jog.velocity(self._wanted)
@@ -345,7 +346,9 @@ class Lease:
         async with arm.jog(renew_within=LEASE_TIME) as jog:
             self._jog = jog
             try:
-                jog.velocity(self._wanted)
+                # joints may need seconds to begin, and who has let go meanwhile moves nothing
+                if trio.current_time() - self._wanted_at < LEASE_TIME:
+                    jog.velocity(self._wanted)
                 await trio.sleep_forever()
             finally:
                 self._jog = None

@@ -110,6 +110,31 @@ async def test_the_chain_brakes_by_its_own_switch_if_the_lease_is_renewed_and_th
 
 
 @virtual_time
+@pytest.mark.parametrize("renewed", [False, True])
+async def test_however_long_the_joints_need_to_begin_a_jog_that_was_let_go_moves_nothing(renewed: bool) -> None:
+    """The lease is renewed meanwhile: somebody is there, and holds no button."""
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            await Owner(service, session).ready(arm)
+            service.lease.leave(session)
+            await trio.sleep(3)
+            assert arm.state is ChainState.HALTED
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            drives(host)[0].answer(0x6060, 0, Answer(delay=400 * MILLISECOND))
+            before = position_of(host, drives(host)[0])
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            while arm.state is not ChainState.FOLLOWING:
+                if renewed:
+                    owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                    await trio.sleep(0.1)
+                else:
+                    await owner.hold(0.1)
+            await owner.hold(0.5)
+            assert (position_of(host, drives(host)[0]) > before) is renewed
+
+
+@virtual_time
 async def test_a_move_goes_on_while_it_is_renewed_and_brakes_when_its_owner_is_gone() -> None:
     async with machine() as (host, service, arm):
         with service.open_session("hand") as session:
