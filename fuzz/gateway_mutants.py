@@ -332,6 +332,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "left_on_its_way_to_power",
+            _LEASE,
+            "                        left |= {device.node for device in chain.devices}\n",
+            "                        pass\n",
+            "the owner goes away while the joints get power, and they keep it without a halt: the chain is off, it seems",
+            LEASE,
+        ),
+        (
             "jog_of_long_ago",
             _LEASE,
             "                if trio.current_time() - self._wanted_at < LEASE_TIME:",

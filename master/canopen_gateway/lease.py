@@ -370,11 +370,14 @@ class Lease:
         with trio.CancelScope(shield=True):
             problems: list[str] = []
             async with trio.open_nursery() as nursery:
+                left = set(self._set_up)
                 for name in self._chains:
                     chain = self._master.chains[name]
                     if chain.state is not ChainState.OFF:
                         nursery.start_soon(self._halted, name, chain.halt, problems)
-                for node in self._set_up:
+                    else:  # some of its joints may have got power already
+                        left |= {device.node for device in chain.devices}
+                for node in left:
                     nursery.start_soon(self._halted, node.where, partial(self._left, node), problems)
         if moved or problems:
             LOGGER.warning(
@@ -387,8 +390,10 @@ class Lease:
         self.owner = None
 
     async def _left(self, node: Node) -> None:
-        """Wait for the end of a commissioning, which halts the drive. If that did not succeed, the drive is halted once more."""
-        await self._ended.wait()
+        """Wait for the end of what was under way with a drive. If it has power then, it is halted: the end of a commissioning did
+        not succeed in that, or its chain was about to be enabled."""
+        if self._scope is not None:
+            await self._ended.wait()
         if self._has_power(node):
             for axis in node.axes or (0,):
                 await self._halt_of(node, axis)()

@@ -297,6 +297,31 @@ async def test_a_gateway_that_ends_halts_what_its_client_moves() -> None:
 
 
 @virtual_time
+@pytest.mark.parametrize("way", ["leaves", "stops", "is silent"])
+@pytest.mark.parametrize("state", [State.SWITCHED_ON, State.OPERATION_ENABLED])
+async def test_whenever_the_owner_goes_away_no_drive_is_left_with_power_and_without_a_halt(way: str, state: State) -> None:
+    """Its joints were on their way to power; the chain is not initialised yet."""
+    async with machine() as (host, service, arm):
+        answers_in_5_ms(host)
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            owner.lease.enable(session, owner.next(), "arm")
+            while drives(host)[0].drive.state is not state:
+                owner.lease.renew(session, owner.next())
+                await trio.sleep(0.001)
+            assert arm.state is ChainState.OFF
+            if way == "leaves":
+                owner.lease.leave(session)
+            elif way == "stops":
+                owner.lease.stop(session, owner.next())
+            await trio.sleep(3)
+            assert owner.lease.owner is None
+            assert owner.lease.problem == "the lease is over"
+            assert_all_halted(host)
+
+
+@virtual_time
 async def test_a_motion_that_fails_is_told_and_ends_nothing_else() -> None:
     async with machine() as (_, service, arm):
         with service.open_session("hand") as session:
