@@ -84,8 +84,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "lease_free_while_it_brakes",
             _LEASE,
-            "        await self._ended.wait()\n",
-            "",
+            "            await self._ended.wait()\n",
+            "            pass\n",
             "somebody else takes the lease while the drive that was commissioned still brakes",
             COMMISSION,
         ),
@@ -310,8 +310,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "over_and_not_halted",
             _LEASE,
-            "start_soon(self._halted, name, chain.halt, problems)\n                for node",
-            "start_soon(trio.lowlevel.checkpoint)\n                for node",
+            "start_soon(self._halted, name, chain.halt, problems)\n                    else:",
+            "start_soon(trio.lowlevel.checkpoint)\n                    else:",
             "the lease is over, and the drives stay at their last set-point, ready for the next",
             LEASE,
         ),
@@ -521,8 +521,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "fleet_writes_to_all",
             f"{_FLEET}/bridge.py",
-            "            if rest[0] in ONE_PLACE and (",
-            "            if rest[0] in () and (",
+            "            if not is_served and rest[0] in ONE_PLACE and (",
+            "            if not is_served and rest[0] in () and (",
             "one query of anybody writes to each node",
             FLEET,
         ),
