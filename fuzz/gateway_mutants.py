@@ -332,6 +332,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "halted_before_its_power",
+            _LEASE,
+            "                    if chain.state is not ChainState.OFF or chain.is_busy:",
+            "                    if chain.state is not ChainState.OFF:",
+            "a halt is confirmed, and the program beside the gateway goes on to give its chain power, and moves it",
+            LEASE,
+        ),
+        (
             "left_on_its_way_to_power",
             _LEASE,
             "                        left |= {device.node for device in chain.devices}\n",

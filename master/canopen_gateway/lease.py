@@ -271,7 +271,7 @@ class Lease:
         with trio.CancelScope(shield=True):  # the client that asked may be gone: the halt still counts
             async with trio.open_nursery() as nursery:
                 for chain in chains:
-                    if chain.state is not ChainState.OFF:
+                    if chain.state is not ChainState.OFF or chain.is_busy:  # a program may be giving it power
                         nursery.start_soon(self._halted, chain.name, chain.halt, problems)
                 for node in self._nodes(net, node_id):
                     for axis in node.axes_enabled or ((0,) if node_id else ()):

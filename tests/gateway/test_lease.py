@@ -11,12 +11,12 @@ import trio
 
 from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllowedError
 from canopen_gateway.lease import LEASE_TIME
-from canopen_master import Chain, ChainState, Host, open_master
+from canopen_master import Chain, ChainHaltedError, ChainState, Host, open_master
 from canopen_master.simulation.host import standard_drives
 from canopen_proto import LocalNode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
-from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.cia402.states import POWERED, State
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtCommand
@@ -245,8 +245,6 @@ async def test_without_permission_nobody_has_it_and_everybody_may_halt() -> None
             await arm.follow()
 
             async def moved() -> None:
-                from canopen_master import ChainHaltedError
-
                 with pytest.raises(ChainHaltedError):
                     await arm.move([2.0, 2.0], speed=0.2)
 
@@ -258,6 +256,25 @@ async def test_without_permission_nobody_has_it_and_everybody_may_halt() -> None
                 assert not is_moving(host)
             assert arm.state is ChainState.HALTED
             assert_all_halted(host)
+
+
+@virtual_time
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 0.2, 0.3])
+async def test_a_halt_ends_what_a_program_beside_the_gateway_is_about_to_begin(seconds: float) -> None:
+    """Whoever halts is told that all stands: the program gives its chain no power behind that."""
+    async with machine() as (host, service, arm), trio.open_nursery() as nursery:
+        answers_in_5_ms(host)
+
+        async def program() -> None:
+            with pytest.raises(ChainHaltedError):
+                await arm.initialise()
+
+        nursery.start_soon(program)
+        await trio.sleep(seconds)
+        assert arm.state is ChainState.OFF
+        assert await service.halt() == []
+        await trio.sleep(3)
+        assert all(node.drive.state not in POWERED for node in drives(host))
 
 
 @virtual_time

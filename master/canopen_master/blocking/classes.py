@@ -840,6 +840,11 @@ class BlockingChain(BlockingMoving):
         return self._hub.do(lambda: self._inner.state)
 
     @property
+    def is_busy(self) -> bool:
+        """Whether a command is under way: one that may give its joints power, though it is OFF yet; or one that moves them."""
+        return self._hub.do(lambda: self._inner.is_busy)
+
+    @property
     def motion(self) -> Motion | None:
         """That along a path, or by a stream of targets, at present; None: it stands, or a loop gives the set-points."""
         return self._hub.do(lambda: self._inner.motion)
