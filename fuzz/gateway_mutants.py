@@ -340,6 +340,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "asked_once",
+            _LEASE,
+            "        except SdoTimeoutError:\n            data = await node.read_bytes(index, 0)\n",
+            "        except SdoTimeoutError:\n            return False\n",
+            "one answer is lost, and a drive to which another program has given power is reset",
+            LEASE,
+        ),
+        (
             "left_on_its_way_to_power",
             _LEASE,
             "                        left |= {device.node for device in chain.devices}\n",

@@ -38,7 +38,7 @@ import trio
 
 from canopen_gateway.errors import LeaseError
 from canopen_gateway.guard import Guard, Permission
-from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError
+from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError, SdoTimeoutError
 from canopen_proto.drives import halt
 from canopen_proto.drives.cia402.axes import axis_of, swapped
 from canopen_proto.drives.cia402.objects import STATUSWORD
@@ -174,13 +174,18 @@ class Lease:
         """Add a node to `powered` if it says that a drive of it has power."""
         if self._master.bus(node.bus).network.heard(node.node_id).state is NmtState.STOPPED:
             return  # it has no SDO then (CiA 301 v4.2.0, 7.3.2.2.4)
-        with suppress(MasterError):
-            for axis in node.axes or (0,):
+        for axis in node.axes or (0,):
+            with suppress(MasterError):
                 if await self._says_powered(node, axis):
                     powered.add(node)
 
     async def _says_powered(self, node: Node, axis: int) -> bool:
-        data = await node.read_bytes(index_of(swapped(STATUSWORD, axis)), 0)
+        """Return whether a drive says that it has power; it is asked twice, since an answer may be lost. Raises SdoError."""
+        index = index_of(swapped(STATUSWORD, axis))
+        try:
+            data = await node.read_bytes(index, 0)
+        except SdoTimeoutError:
+            data = await node.read_bytes(index, 0)
         return state_of(int.from_bytes(data, "little")) in POWERED
 
     def note_command(self, node: Node, index: int) -> None:

@@ -239,9 +239,9 @@ class GatewayService:
         return self._last_number
 
     def is_moved(self, node: Node) -> bool:
-        """Return whether a chain uses this node at present."""
+        """Return whether a chain uses this node at present, or is about to."""
         return any(
-            chain.state is not ChainState.OFF and any(device.node is node for device in chain.devices)
+            (chain.state is not ChainState.OFF or chain.is_busy) and any(device.node is node for device in chain.devices)
             for chain in self.master.chains.values()
         )
 

@@ -13,7 +13,8 @@ from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllow
 from canopen_gateway.lease import LEASE_TIME
 from canopen_master import Chain, ChainHaltedError, ChainState, Host, open_master
 from canopen_master.simulation.host import standard_drives
-from canopen_proto import LocalNode
+from canopen_proto import LocalNode, SdoAborted
+from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import POWERED, State
@@ -266,10 +267,13 @@ async def test_a_halt_ends_what_a_program_beside_the_gateway_is_about_to_begin(s
         answers_in_5_ms(host)
 
         async def program() -> None:
+            begun.set()
             with pytest.raises(ChainHaltedError):
                 await arm.initialise()
 
+        begun = trio.Event()
         nursery.start_soon(program)
+        await begun.wait()
         await trio.sleep(seconds)
         assert arm.state is ChainState.OFF
         assert await service.halt() == []
@@ -485,17 +489,28 @@ async def test_a_drive_with_a_fault_may_be_reset_by_everybody() -> None:
 
 
 @virtual_time
+@pytest.mark.parametrize("lost", [False, True])
 @pytest.mark.parametrize("node_id", [0, 3])
-async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id: int) -> None:
-    """This gateway was started beside it, and has never heard of the drive's state."""
+async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id: int, lost: bool) -> None:
+    """This gateway was started beside it, and has never heard of the drive's state. lost: the first answer is."""
     async with gateway(3, 4, allow="nmt") as (host, service), open_master(await open_transport(BUS)) as program:
         await service.find_nodes(service.nets[0])
         for word in (0x80, 0x6, 0x7, 0xF):
             await program.node(3).write("controlword", word)
             await trio.sleep(0.6)
         assert drives(host)[0].drive.state is State.OPERATION_ENABLED
-        with service.open_session("other") as other:
-            assert not await sends(other, NmtCommand.RESET_NODE, node_id)
+        with service.open_session("other") as other, service.master.events(SdoAborted) as failed:
+            if lost:
+                drives(host)[0].answer(0x6041, 0, Answer(delay=30_000 * MILLISECOND))
+            async with trio.open_nursery() as nursery:
+
+                async def reset() -> None:
+                    assert not await sends(other, NmtCommand.RESET_NODE, node_id)
+
+                nursery.start_soon(reset)
+                await trio.sleep(0.1)
+                drives(host)[0].answer(0x6041, 0, Answer())
+            assert [each.abort_code for each in failed.take() if each.node_id == 3] == [AbortCode.TIMED_OUT] * lost
             assert await sends(other, NmtCommand.RESET_NODE, 4)
 
 
