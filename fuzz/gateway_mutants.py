@@ -84,8 +84,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "lease_free_while_it_brakes",
             _LEASE,
-            "        await self._ended.wait()\n",
-            "",
+            "            await self._ended.wait()\n",
+            "            pass\n",
             "somebody else takes the lease while the drive that was commissioned still brakes",
             COMMISSION,
         ),
@@ -234,20 +234,62 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "halt_of_our_own_alone",
+            _LEASE,
+            "        found = {(node, axis) for node, axes in self._commanded.items() for axis in axes}\n",
+            "        found: set[tuple[Node, int]] = set()\n",
+            "a drive that another program has enabled goes on at the velocity that a client wrote, and the halt is confirmed",
+            LEASE,
+        ),
+        (
+            "moved_by_pdo_not_halted",
+            _SERVICE,
+            "        self.service.lease.note_pdo(net)\n",
+            "",
+            "a drive that a client's PDOs have set moving goes on, and the halt says that all stands",
+            LEASE,
+        ),
+        (
+            "silent_counts_as_unpowered",
+            _LEASE,
+            "                is_powered = error.abort_code not in ABSENT\n",
+            "                is_powered = False\n",
+            "a drive that a client has set moving is silent, and the halt says that all stands",
+            LEASE,
+        ),
+        (
             "impatience_reaches_the_chain",
             _SERVICE,
-            "                if timeout is not None and not self.is_moved(node):\n",
-            "                if timeout is not None:\n",
+            "            patience = None if self.service.is_moved(node) else timeout\n            return",
+            "            patience = timeout\n            return",
             "a client that waits a millisecond only stops the chain whose joint it asks",
             SERVICE,
         ),
         (
             "time_out_stays",
             _SERVICE,
-            "                    client.timeout, client.max_upload = before\n",
-            "                    client.max_upload = before[1]\n",
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            (
+                "            node.remote.sdo.timeout = round((patience or 0.5) * 1e9)\n"
+                "            return await node.read_bytes(index, subindex, block=block)\n"
+            ),
             "the time-out of one client counts for all who come after it",
             COMMANDS,
+        ),
+        (
+            "impatience_reaches_a_halt",
+            _SERVICE,
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            (
+                "            before, client = node.remote.sdo.timeout, node.remote.sdo\n"
+                "            client.timeout = before if patience is None else round(patience * 1e9)\n"
+                "            try:\n"
+                "                return await node.read_bytes(index, subindex, block=block)\n"
+                "            finally:\n"
+                "                client.timeout = before\n"
+            ),
+            "while a client that only reads waits a millisecond for a drive, nobody's halt of that drive is confirmed",
+            LEASE,
         ),
         (
             "ears_left_behind",
@@ -268,8 +310,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "over_and_not_halted",
             _LEASE,
-            "start_soon(self._halted, name, chain.halt, problems)\n                for node",
-            "start_soon(trio.lowlevel.checkpoint)\n                for node",
+            "start_soon(self._halted, name, chain.halt, problems)\n                    else:",
+            "start_soon(trio.lowlevel.checkpoint)\n                    else:",
             "the lease is over, and the drives stay at their last set-point, ready for the next",
             LEASE,
         ),
@@ -284,9 +326,41 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "refused_jog_counts",
             _LEASE,
-            "        self.renew(session, sequence)\n        self._require_power(chain)\n        self._wanted = list(",
-            "        self._wanted = list(velocities)\n        self.renew(session, sequence)\n        list(",
+            "        self.renew(session, sequence)\n        self._require_power(chain)\n        self._wanted, self._wanted_at =",
+            "        self._wanted = list(velocities)\n        self.renew(session, sequence)\n        _, self._wanted_at =",
             "velocities of a client that is refused move the machine if they come while a jog begins",
+            LEASE,
+        ),
+        (
+            "halted_before_its_power",
+            _LEASE,
+            "                    if chain.state is not ChainState.OFF or chain.is_busy:",
+            "                    if chain.state is not ChainState.OFF:",
+            "a halt is confirmed, and the program beside the gateway goes on to give its chain power, and moves it",
+            LEASE,
+        ),
+        (
+            "asked_once",
+            _LEASE,
+            "        except SdoTimeoutError:\n            data = await node.read_bytes(index, 0)\n",
+            "        except SdoTimeoutError:\n            return False\n",
+            "one answer is lost, and a drive to which another program has given power is reset",
+            LEASE,
+        ),
+        (
+            "left_on_its_way_to_power",
+            _LEASE,
+            "                        left |= {device.node for device in chain.devices}\n",
+            "                        pass\n",
+            "the owner goes away while the joints get power, and they keep it without a halt: the chain is off, it seems",
+            LEASE,
+        ),
+        (
+            "jog_of_long_ago",
+            _LEASE,
+            "                if trio.current_time() - self._wanted_at < LEASE_TIME:",
+            "                if self._wanted:",
+            "joints that need a second to follow begin to move by a jog that nobody has renewed since",
             LEASE,
         ),
         (
@@ -463,8 +537,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "fleet_writes_to_all",
             f"{_FLEET}/bridge.py",
-            "            if rest[0] in ONE_PLACE and (",
-            "            if rest[0] in () and (",
+            "            if not is_served and rest[0] in ONE_PLACE and (",
+            "            if not is_served and rest[0] in () and (",
             "one query of anybody writes to each node",
             FLEET,
         ),

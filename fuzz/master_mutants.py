@@ -23,6 +23,7 @@ PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 
 BACKGROUND: Final = ("tests/master/test_blocking_background.py",)
 BLOCKING: Final = ("tests/master/test_blocking.py",)
+MOVING: Final = ("tests/master/test_moving.py",)
 
 _MEMBER: Final = "canopen_master/motion/member.py"
 _BACKGROUND: Final = "canopen_master/blocking/background.py"
@@ -38,6 +39,14 @@ MASTER_MUTANTS: Final = tuple(
             "            if True:",
             "a motion without a SYNC waits for ever, and its chain is not halted",
             PATH_TROUBLES,
+        ),
+        (
+            "jump_without_limits",
+            "canopen_master/motion/path_check.py",
+            "max(rounding, step) if math.isfinite(step) else rounding",
+            "max(rounding, step)",
+            "a joint whose limits of speed and acceleration are lifted jumps to the start of any path",
+            MOVING,
         ),
         (
             "whole_step_in_less_than_a_period",

@@ -87,8 +87,8 @@ SDO_MUTANTS: Final = (
     Mutant(
         "short_silence",
         _RECEIVER,
-        "self._silence = silence_limit(self.end.timeout)",
-        "self._silence = self.end.timeout // 5",
+        "self._silence = silence_limit(self.timeout)",
+        "self._silence = self.timeout // 5",
         "a pause is taken for a loss",
         BLOCKS,
     ),
@@ -111,8 +111,8 @@ SDO_MUTANTS: Final = (
     Mutant(
         "impatient_sender",
         "sdo/transfer.py",
-        "return 2 * silence_limit(self.end.timeout)",
-        "return silence_limit(self.end.timeout)",
+        "return 2 * silence_limit(self.timeout)",
+        "return silence_limit(self.timeout)",
         "the sender gives up before the receiver asks again",
         FAULTS,
     ),

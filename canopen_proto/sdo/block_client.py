@@ -170,6 +170,7 @@ class BlockUpload(BlockReceiver):
         if plain is None or command & SPECIFIER != INITIATE_UPLOAD_RESPONSE:
             return False
         plain.request_id, plain.is_urgent, plain.first = self.request_id, self.is_urgent, self.first
+        plain.own_timeout = self.own_timeout
         plain.receive(command, data, frame, now)
         self.instead = plain
         self.state = OVER

@@ -166,7 +166,7 @@ class BlockReceiver(Transfer):
         self._size = size
         self._limit = limit if size is None else size
         self._with_crc = with_crc
-        self._silence = silence_limit(self.end.timeout)
+        self._silence = silence_limit(self.timeout)
         self._listen(now)
 
     def _listen(self, now: Time) -> None:

@@ -181,37 +181,48 @@ class SdoClient(ChannelEnd):
 
     # ---- commands ----
 
-    def upload(self, index: int, subindex: int, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
+    def upload(
+        self, index: int, subindex: int, now: Time, *, urgent: bool = False, block: Block = False, timeout: Time | None = None
+    ) -> RequestId:
         """Ask the server for an object's value.
 
         Sends an initiate request, at once if no transfer is under way. SdoUploaded or SdoAborted follows, at the latest `timeout`
         after the last frame of the transfer; in blocks two silences after it (`silence_limit`, block.py). index 0..0xFFFF,
         subindex 0..0xFF. urgent: goes before all requests that are not. block: see `Block`; "auto" asks for a block transfer
-        first, whatever the size. Raises LocalProtocolError if the queue is full or the numbers are impossible.
+        first, whatever the size. timeout: ns, of this request alone; None: the client's. Raises LocalProtocolError if the queue
+        is full or the numbers are impossible.
         Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
         """
         if not block or (block == "auto" and not self.serves_blocks):
-            return self._submit(Upload(self, index, subindex, self.max_upload), urgent, now)
+            return self._submit(_within(Upload(self, index, subindex, self.max_upload), timeout), urgent, now)
         plain = Upload(self, index, subindex, self.max_upload) if block == "auto" else None
-        return self._submit(BlockUpload(self, index, subindex, False, self.max_upload, plain), urgent, now)
+        return self._submit(_within(BlockUpload(self, index, subindex, False, self.max_upload, plain), timeout), urgent, now)
 
     def download(
-        self, index: int, subindex: int, data: Buffer, now: Time, *, urgent: bool = False, block: Block = False
+        self,
+        index: int,
+        subindex: int,
+        data: Buffer,
+        now: Time,
+        *,
+        urgent: bool = False,
+        block: Block = False,
+        timeout: Time | None = None,
     ) -> RequestId:
         """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments or, on request, in blocks.
         data: its bytes, little-endian.
 
         Sends an initiate request, at once if no transfer is under way. SdoDownloaded or SdoAborted follows, at the latest
         `timeout` after the last frame of the transfer; in blocks two silences after it (`silence_limit`, block.py).
-        index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not. block: see `Block`.
-        Raises LocalProtocolError if the queue is full or the numbers are impossible.
+        index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not. block: see `Block`. timeout: ns, of this
+        request alone; None: the client's. Raises LocalProtocolError if the queue is full or the numbers are impossible.
         Source: CiA 301 v4.2.0, 7.2.4.3.2 and 7.2.4.3.8.
         """
         if not block or (block == "auto" and (not self.serves_blocks or len(data) <= AUTO_BLOCK)):
-            return self._submit(Download(self, index, subindex, data), urgent, now)
+            return self._submit(_within(Download(self, index, subindex, data), timeout), urgent, now)
         content = own(data, index, subindex)
         plain = Download(self, index, subindex, content) if block == "auto" else None
-        return self._submit(BlockDownload(self, index, subindex, content, len(content), plain), urgent, now)
+        return self._submit(_within(BlockDownload(self, index, subindex, content, len(content), plain), timeout), urgent, now)
 
     def upload_stream(self, index: int, subindex: int, now: Time, *, urgent: bool = False) -> RequestId:
         """Read an object piece by piece, by block transfer, whatever its size (`max_upload` is not looked at). urgent: goes
@@ -482,7 +493,7 @@ class SdoClient(ChannelEnd):
 
     def _put_first(self, again: Transfer, transfer: Transfer) -> None:
         """Let a request take the place of one that has ended."""
-        again.request_id, again.is_urgent = transfer.request_id, transfer.is_urgent
+        again.request_id, again.is_urgent, again.own_timeout = transfer.request_id, transfer.is_urgent, transfer.own_timeout
         (self._queue.urgent if again.is_urgent else self._queue.others).appendleft(again)
 
     def _end_by_abort(self, transfer: Transfer, data: bytes, not_confirmed: bool) -> None:
@@ -495,6 +506,7 @@ class SdoClient(ChannelEnd):
             plain = transfer.plain
             if plain is not None and abort_code in NO_BLOCKS:
                 plain.request_id, plain.is_urgent = transfer.request_id, transfer.is_urgent
+                plain.own_timeout = transfer.own_timeout
                 transfer.is_given_up = True  # a second copy of the abort may come: copy_guard
                 self._queue.urgent.appendleft(plain)
                 transfer.state = OVER
@@ -668,7 +680,7 @@ class SdoClient(ChannelEnd):
         self._transfer = transfer
         self._nameless_abort = b""
         self.out.frames.append(frame)
-        transfer.deadline = self.deadline = deadline = now + self.timeout
+        transfer.deadline = self.deadline = deadline = now + transfer.timeout
         if deadline < self._wake:
             self._arm(deadline)
         if self.other.count:
@@ -706,3 +718,10 @@ class SdoClient(ChannelEnd):
             self._after_collision(transfer, now)
         if queue.urgent or queue.others or self._abandoned is not None:
             self._begin_next(now)
+
+
+def _within(transfer: Transfer, timeout: Time | None) -> Transfer:
+    """Return the transfer, with a time-out of its own if there is one."""
+    if timeout is not None:
+        transfer.own_timeout = timeout
+    return transfer

@@ -212,7 +212,7 @@ class Contested(Transfer):
         super().__init__(request.end, request.index, request.subindex, request.first)
         self.request_id = request.request_id
         self.is_urgent = request.is_urgent
-        self.deadline = request.deadline
+        self.deadline, self.own_timeout = request.deadline, request.own_timeout
         self.request = request
         self.believes = believes
 

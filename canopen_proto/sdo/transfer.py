@@ -143,12 +143,12 @@ class Transfer:
     client's request. deadline: once it is under way, until it is over. is_answered: the other side has answered the initiate
     frame: it has nothing more to say about transfers before. is_given_up: it ended, and an answer may still come. instead: the
     transfer that goes on when this one is over, if one does. plain: what a client falls back on if the server refuses block
-    transfer, if it may.
+    transfer, if it may. own_timeout: ns, in place of the time-out of its end; 0: it has none.
     """
 
     __slots__ = (
-        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "is_urgent", "name", "plain", "request_id",
-        "state", "subindex",
+        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "is_urgent", "name", "own_timeout", "plain",
+        "request_id", "state", "subindex",
     )  # fmt: skip
 
     is_with_host: ClassVar[bool] = False
@@ -173,6 +173,7 @@ class Transfer:
         self.is_given_up = False
         self.instead: Transfer | None = None
         self.plain: Transfer | None = None
+        self.own_timeout: Time = 0
 
     def __str__(self) -> str:
         return f"{'download' if self.is_download else 'upload'} 0x{self.index:04X}:{self.subindex:02X}"
@@ -244,9 +245,14 @@ class Transfer:
         return 0
 
     @property
+    def timeout(self) -> Time:
+        """How long the other side may take for each answer, in ns."""
+        return self.own_timeout or self.end.timeout
+
+    @property
     def patience(self) -> Time:
         """How long the other side may be silent, in ns; inside a block transfer two silences: it may ask again after one."""
-        return 2 * silence_limit(self.end.timeout) if self.in_blocks and self.has_begun else self.end.timeout
+        return 2 * silence_limit(self.timeout) if self.in_blocks and self.has_begun else self.timeout
 
     @property
     def straggler(self) -> int:

@@ -18,7 +18,9 @@ delayed, or sent again after a new connection, moves nothing.
 drive has power: it would lose its commands, and brake as its own settings say, or not at all.
 
 **Anybody may halt**, with or without the lease, in a read-only gateway too. A halt ends the lease by which the machine was moved,
-and the chains stay halted until somebody gives them power anew: whoever goes on sending moves nothing.
+and the chains stay halted until somebody gives them power anew: whoever goes on sending moves nothing. A halt stops what clients
+have set moving, though another program has given it power: the drives to which they have written, and each drive with power on a
+net where they have sent PDOs, since nobody knows which drives took these.
 
 It is no safety function: a computer, its network and this program may all fail. Keep the emergency stop wired.
 """
@@ -27,7 +29,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Final, Protocol
@@ -36,15 +38,16 @@ import trio
 
 from canopen_gateway.errors import LeaseError
 from canopen_gateway.guard import Guard, Permission
-from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node
+from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError, SdoTimeoutError
 from canopen_proto.drives import halt
-from canopen_proto.drives.cia402.axes import swapped
+from canopen_proto.drives.cia402.axes import axis_of, swapped
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.drives.cia402.states import POWERED, state_of
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.multiplexer import index_of
+from canopen_proto.multiplexer import index_of, mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures import ProcedureError
+from canopen_proto.procedures.objects import ABSENT
 
 LEASE_TIME: Final = 0.3
 """Seconds from one sign of life of the owner to the next: a page that sends one each 100 ms may lose two of them."""
@@ -82,7 +85,9 @@ class Lease:
         self._jogged = ""
         self._jog: Jog | None = None
         self._wanted: list[float] = []
-        self._commanded: set[Node] = set()  # by single writes
+        self._wanted_at = -math.inf  # when these velocities came
+        self._commanded: dict[Node, set[int]] = {}  # by single writes; and which axes of it nobody has seen at rest since
+        self._pdos_sent: set[str] = set()  # the nets on which a client has sent PDOs
         self._halted_by_hand: set[str] = set()  # chains that somebody has halted, and nobody has enabled since
         self._over = THE_TIME
         self._commissioned: Node | None = None  # the drive that the owner commissions
@@ -169,15 +174,29 @@ class Lease:
         """Add a node to `powered` if it says that a drive of it has power."""
         if self._master.bus(node.bus).network.heard(node.node_id).state is NmtState.STOPPED:
             return  # it has no SDO then (CiA 301 v4.2.0, 7.3.2.2.4)
-        with suppress(MasterError):
-            for axis in node.axes or (0,):
-                data = await node.read_bytes(index_of(swapped(STATUSWORD, axis)), 0)
-                if state_of(int.from_bytes(data, "little")) in POWERED:
+        for axis in node.axes or (0,):
+            with suppress(MasterError):
+                if await self._says_powered(node, axis):
                     powered.add(node)
 
-    def note_command(self, node: Node) -> None:
-        """Remember a node to which a client has written something that moves: `halt` stops it, too."""
-        self._commanded.add(node)
+    async def _says_powered(self, node: Node, axis: int) -> bool:
+        """Return whether a drive says that it has power; it is asked twice, since an answer may be lost. Raises SdoError."""
+        index = index_of(swapped(STATUSWORD, axis))
+        try:
+            data = await node.read_bytes(index, 0)
+        except SdoTimeoutError:
+            data = await node.read_bytes(index, 0)
+        return state_of(int.from_bytes(data, "little")) in POWERED
+
+    def note_command(self, node: Node, index: int) -> None:
+        """Remember a node to which a client has written something that moves: `halt` stops it, too, whoever has given it power.
+        index: of the object."""
+        axis = axis_of(mux(index))
+        self._commanded.setdefault(node, set()).update(() if axis is None else (axis,))
+
+    def note_pdo(self, net: str) -> None:
+        """Remember that a client has sent a PDO on a net. Nobody knows which drives took it: `halt` stops each one with power."""
+        self._pdos_sent.add(net)
 
     # ---- intents ----
 
@@ -205,12 +224,12 @@ class Lease:
         if self.doing != "jog" or self._jogged != chain:
             arm = self._begin(session, sequence, chain, "jog")
             self._require_power(chain)
-            self._jogged, self._wanted = chain, list(velocities)
+            self._jogged, self._wanted, self._wanted_at = chain, list(velocities), trio.current_time()
             self._run("jog", lambda: self._jogging(arm))
             return
         self.renew(session, sequence)
         self._require_power(chain)
-        self._wanted = list(velocities)
+        self._wanted, self._wanted_at = list(velocities), trio.current_time()
         if self._jog is not None:
             try:
                 self._jog.velocity(self._wanted)
@@ -257,11 +276,13 @@ class Lease:
         with trio.CancelScope(shield=True):  # the client that asked may be gone: the halt still counts
             async with trio.open_nursery() as nursery:
                 for chain in chains:
-                    if chain.state is not ChainState.OFF:
+                    if chain.state is not ChainState.OFF or chain.is_busy:  # a program may be giving it power
                         nursery.start_soon(self._halted, chain.name, chain.halt, problems)
                 for node in self._nodes(net, node_id):
                     for axis in node.axes_enabled or ((0,) if node_id else ()):
                         nursery.start_soon(self._halted, node.where, self._halt_of(node, axis), problems)
+                for node, axis in self._asked(net, node_id):
+                    nursery.start_soon(self._halted, node.where, partial(self._halt_if_powered, node, axis), problems)
         return problems
 
     def stop_motion(self) -> None:
@@ -330,7 +351,9 @@ class Lease:
         async with arm.jog(renew_within=LEASE_TIME) as jog:
             self._jog = jog
             try:
-                jog.velocity(self._wanted)
+                # joints may need seconds to begin, and who has let go meanwhile moves nothing
+                if trio.current_time() - self._wanted_at < LEASE_TIME:
+                    jog.velocity(self._wanted)
                 await trio.sleep_forever()
             finally:
                 self._jog = None
@@ -352,11 +375,14 @@ class Lease:
         with trio.CancelScope(shield=True):
             problems: list[str] = []
             async with trio.open_nursery() as nursery:
+                left = set(self._set_up)
                 for name in self._chains:
                     chain = self._master.chains[name]
                     if chain.state is not ChainState.OFF:
                         nursery.start_soon(self._halted, name, chain.halt, problems)
-                for node in self._set_up:
+                    else:  # some of its joints may have got power already
+                        left |= {device.node for device in chain.devices}
+                for node in left:
                     nursery.start_soon(self._halted, node.where, partial(self._left, node), problems)
         if moved or problems:
             LOGGER.warning(
@@ -369,8 +395,10 @@ class Lease:
         self.owner = None
 
     async def _left(self, node: Node) -> None:
-        """Wait for the end of a commissioning, which halts the drive. If that did not succeed, the drive is halted once more."""
-        await self._ended.wait()
+        """Wait for the end of what was under way with a drive. If it has power then, it is halted: the end of a commissioning did
+        not succeed in that, or its chain was about to be enabled."""
+        if self._scope is not None:
+            await self._ended.wait()
         if self._has_power(node):
             for axis in node.axes or (0,):
                 await self._halt_of(node, axis)()
@@ -387,14 +415,45 @@ class Lease:
     def _halt_of(self, node: Node, axis: int) -> Callable[[], Awaitable[object]]:
         return lambda: self._master.run(halt(self._master.device(node, axis=axis).axis))
 
+    async def _halt_if_powered(self, node: Node, axis: int) -> None:
+        """Halt a drive unless it says that it has no power. What has no statusword is no drive."""
+        axes = self._commanded.setdefault(node, set())
+        axes.discard(axis)  # before: a client may write to it meanwhile
+        try:
+            try:
+                is_powered = await self._says_powered(node, axis)
+            except SdoError as error:
+                is_powered = error.abort_code not in ABSENT
+            if is_powered:
+                await self._halt_of(node, axis)()
+        except BaseException:
+            axes.add(axis)
+            raise
+
+    def _asked(self, net: str | None, node_id: int) -> Iterator[tuple[Node, int]]:
+        """Yield the drives that clients may have moved though this master has not given them power: those to which they have
+        written, and all that were heard where they have sent PDOs."""
+        led = self._led()
+        found = {(node, axis) for node, axes in self._commanded.items() for axis in axes}
+        for each in self._pdos_sent:
+            nodes = [self._master.node(number, bus=each) for number in self._master.bus(each).network.heard_nodes()]
+            found |= {(node, axis) for node in nodes for axis in node.axes or (0,)}
+        for node, axis in found:
+            is_halted = axis in (node.axes_enabled or ((0,) if node_id else ()))
+            if _is_at(node, net, node_id) and node not in led and not is_halted:
+                yield node, axis
+
     def _nodes(self, net: str | None, node_id: int) -> list[Node]:
         """Return the nodes that may move without a chain: those commanded by single writes, and the one that was named."""
-        led = {each.node for chain in self._master.chains.values() for each in _led(chain)}
+        led = self._led()
         return [node for node in self._drives(net, node_id) if node not in led]
+
+    def _led(self) -> set[Node]:
+        return {each.node for chain in self._master.chains.values() for each in _led(chain)}
 
     def _drives(self, net: str | None, node_id: int) -> list[Node]:
         """Return the nodes whose drives this gateway may have commanded, of a net or of all; and the one that was named."""
-        known = {device.node for device in self._master.devices.values()} | self._commanded
+        known = {device.node for device in self._master.devices.values()} | self._commanded.keys()
         if net is not None and node_id:
             known.add(self._master.node(node_id, bus=net))
         return [node for node in known if _is_at(node, net, node_id)]

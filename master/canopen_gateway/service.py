@@ -9,8 +9,8 @@ drives. It adds three things: what clients may not do (guard.py), how much they 
 machine (lease.py).
 
 **One request at a time for each node.** Clients that ask the same node wait for each other; those that ask others do not. A
-client's own time-out counts while its request is under way. It never counts for a node that a running chain moves: its requests
-there keep the master's time-out, or an impatient client could stop the chain.
+client's own time-out counts for its own requests alone: a halt, the question whether a drive has power, and whatever else this
+master has to say to the node keep the master's. It never counts for a node that a running chain moves, nor for a controlword.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from canopen_proto.drives.axis.axis_node import node_of_axis
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.gateway import NodeEar, NodeReport, PdoPort, PdoReport
-from canopen_proto.machine import MILLISECOND, SECOND, Machine, Time
+from canopen_proto.machine import MILLISECOND, Machine, Time
 from canopen_proto.manager.scan import Scanner, scan
 from canopen_proto.procedures.steps import act
 from canopen_proto.sdo.client import Block
@@ -191,21 +191,18 @@ class GatewayService:
         self.master.pump.pump()
 
     @asynccontextmanager
-    async def turn(self, net: str, node_id: int, timeout: float | None) -> AsyncIterator[Node]:
-        """Have a node while the block runs, with this time-out (seconds) for each of its answers; None: the master's."""
+    async def turn(self, net: str, node_id: int) -> AsyncIterator[Node]:
+        """Have a node while the block runs."""
         node = self.node(net, node_id)
         with self.under_way:
             async with self._turns[net, node_id]:
                 client = node.remote.sdo
-                before = client.timeout, client.max_upload
-                if timeout is not None and not self.is_moved(node):
-                    client.timeout = max(MILLISECOND, round(timeout * SECOND))
-                client.max_upload = self.limits.value_bytes
+                before, client.max_upload = client.max_upload, self.limits.value_bytes
                 try:
                     with self.request_times.measured(net):
                         yield node
                 finally:
-                    client.timeout, client.max_upload = before
+                    client.max_upload = before
 
     async def find_nodes(self, net: str) -> None:
         """Ask all node-IDs of a net that were not heard yet for their device type: reading, which everybody may. `heard_nodes` of
@@ -223,14 +220,14 @@ class GatewayService:
 
     async def look_at_drive(self, net: str, node_id: int, axis: int = 0) -> DriveView:
         """Read what a drive shows. axis: its number. Raises NodeIsNoDriveError; SdoTransferError if it does not answer."""
-        async with self.turn(net, node_id, None) as node:
+        async with self.turn(net, node_id) as node:
             view: DriveView = await self.master.run(look_at_drive(node_of_axis(node.remote, axis)))
         return view
 
     async def read_pdos(self, net: str, node_id: int) -> ReadPdos:
         """Ask a node for its PDOs: reading, which everybody may. `traffic` keeps the answer. Raises what `GatewaySession.read`
         does; SdoTransferError if it does not answer."""
-        async with self.turn(net, node_id, None) as node:
+        async with self.turn(net, node_id) as node:
             has_file = node.dictionary is not self.master.dictionary
             found = await read_pdos(self.master, node, node.dictionary if has_file else None)
         read = self.traffic(net).pdos_read[node_id] = ReadPdos(self.master.now(), tuple(found))
@@ -242,9 +239,9 @@ class GatewayService:
         return self._last_number
 
     def is_moved(self, node: Node) -> bool:
-        """Return whether a chain uses this node at present."""
+        """Return whether a chain uses this node at present, or is about to."""
         return any(
-            chain.state is not ChainState.OFF and any(device.node is node for device in chain.devices)
+            (chain.state is not ChainState.OFF or chain.is_busy) and any(device.node is node for device in chain.devices)
             for chain in self.master.chains.values()
         )
 
@@ -286,8 +283,9 @@ class GatewaySession:
     ) -> bytes:
         """Read an object's bytes. timeout: seconds for each answer of the node. Raises SdoError and what else `Node.read_bytes`
         raises; GatewayFullError."""
-        async with self.service.turn(net, node_id, timeout) as node:
-            return await node.read_bytes(index, subindex, block=block)
+        async with self.service.turn(net, node_id) as node:
+            patience = None if self.service.is_moved(node) else timeout
+            return await node.read_bytes(index, subindex, block=block, patience=patience)
 
     async def write(
         self,
@@ -304,16 +302,17 @@ class GatewaySession:
         something while somebody else moves the machine, or may start a drive with power anew; else as `read`."""
         self.service.guard.require_write(index, subindex)
         permission, what = permission_to_write(index, subindex), f"writing 0x{index:04X}:{subindex:02X}"
-        async with self.service.turn(net, node_id, timeout) as node:
+        async with self.service.turn(net, node_id) as node:
             # asked when its turn has come: the lease may have been taken meanwhile
             if permission is Permission.MOTION:
                 self.service.lease.require_free(self, what)
-                self.service.lease.note_command(node)
+                self.service.lease.note_command(node, index)
             elif permission is Permission.PROGRAM:  # which may start the device anew
                 await self.service.lease.require_no_power(self, net, node_id, what)
             elif permission is Permission.NMT:  # which may have this device command all others
                 await self.service.lease.require_no_power(self, net, 0, what)
-            await node.write_bytes(index, subindex, data, block=block)
+            patience = None if self.service.is_moved(node) else timeout
+            await node.write_bytes(index, subindex, data, block=block, patience=patience)
 
     def watch_values(self, objects: Sequence[WatchedObject], period: float) -> ValueStream:
         """Return the values of objects, again and again: `async with session.watch_values(...) as values: async for ...`. period:
@@ -441,6 +440,7 @@ class GatewaySession:
         self.service.guard.require(Permission.MOTION, "sending a PDO")
         self.service.lease.require_free(self, "sending a PDO")
         port = self._port(net, False, number)
+        self.service.lease.note_pdo(net)
         with self.service.under_way:
             await self.service.master.run(act(lambda now: port.send(values, now)))
 

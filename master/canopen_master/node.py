@@ -27,7 +27,7 @@ from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_
 from canopen_proto.drives.cia402.states import Command, enables_operation
 from canopen_proto.explained import counted
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoDifference
@@ -190,13 +190,21 @@ class Node(Peer):
             raise LocalProtocolError(f"{variable.label} is {variable.data_type.name}, not {wanted}; `read` takes every type")
         return variable
 
-    async def read_bytes(self, key: Key, subindex: int | None = None, *, block: Block = False) -> bytes:
-        """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default."""
-        place = self._place(key, subindex)
-        return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block))).data
+    async def read_bytes(
+        self, key: Key, subindex: int | None = None, *, block: Block = False, patience: float | None = None
+    ) -> bytes:
+        """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default. patience:
+        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least."""
+        place, timeout = self._place(key, subindex), _time_of(patience)
+        return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block, timeout=timeout))).data
 
-    async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
-        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`. data: little-endian."""
+    async def write_bytes(
+        self, index: int, subindex: int, data: bytes, *, block: Block = False, patience: float | None = None
+    ) -> None:
+        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`. data: little-endian.
+
+        patience: as of `read_bytes`; it counts neither for a controlword nor for the COB-ID of a PDO.
+        """
         is_controlword = mux(index, subindex) in self._controlwords and len(data) == 2
         is_cob_id = subindex == COB_ID and len(data) == 4 and FIRST_PDO_RECORD <= index <= LAST_PDO_RECORD
         known = self.dictionary.get(index, subindex)
@@ -204,9 +212,11 @@ class Node(Peer):
             await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
             return
         shown = data.hex() if len(data) <= MAX_SHOWN else counted(len(data), "byte")
+        timeout = _time_of(patience)
         async with self._commanding(mux(index, subindex), int.from_bytes(data[:2], "little")):
             await self._download(
-                lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to"
+                lambda now: self.remote.sdo.download(index, subindex, data, now, block=block, timeout=timeout),
+                f"writing {shown} to",
             )
 
     def read_stream(self, index: int, subindex: int = 0, *, block: Block = "auto") -> ReadStream:
@@ -427,3 +437,8 @@ class Node(Peer):
         cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
         known = missing_frame(self.network, self.remote, self.now(), cause, (), pdo=False)
         raise NodeSilentError(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
+
+
+def _time_of(patience: float | None) -> Time | None:
+    """Return seconds as a time-out in ns."""
+    return None if patience is None else max(MILLISECOND, round(patience * SECOND))

@@ -8,7 +8,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import EXTENDED, KEY_EXTENDED, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError, Outbox, Time
 from canopen_proto.network import Network
-from canopen_proto.sdo.client import TIMEOUT, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import TIMEOUT, Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from tests.core.bus import take_events, take_frames
 
 
@@ -382,3 +382,31 @@ def test_a_timeout_that_was_made_shorter_meanwhile_wakes_the_driver_in_time() ->
     hear("20 00 00 00 00 00 00 00", 5)
     network.handle_timeout(client.deadline)
     assert not client.busy
+
+
+@pytest.mark.parametrize("block", [False, True, "auto"])
+def test_the_time_out_of_a_request_is_its_own(block: Block) -> None:
+    """Those beside it, on their way or waiting, keep the client's."""
+    bench = Bench()
+    patient = bench.client.upload(0x2000, 0, bench.now)
+    quick = bench.client.upload(0x2001, 0, bench.now, block=block, timeout=3 * MILLISECOND)
+    written = bench.client.download(0x2002, 0, bytes(10), bench.now, block=block, timeout=4 * MILLISECOND)
+    after = bench.client.upload(0x2003, 0, bench.now)
+    ends = []
+    while len(ends) < 4:
+        bench.now = bench.client.deadline
+        bench.client.handle_timeout(bench.now)
+        ends += [(event.request_id, bench.now) for event in take_events(bench.out) if isinstance(event, SdoAborted)]
+    first, second, third = TIMEOUT, TIMEOUT + 3 * MILLISECOND, TIMEOUT + 7 * MILLISECOND
+    assert ends == [(patient, first), (quick, second), (written, third), (after, third + TIMEOUT)]
+
+
+def test_a_read_that_falls_back_on_segments_keeps_its_time_out() -> None:
+    bench = Bench()
+    bench.client.upload(0x2000, 0, bench.now, block="auto", timeout=3 * MILLISECOND)
+    bench.hear("41 00 20 00 08 00 00 00")  # the server sends it in segments
+    assert bench.client.deadline == bench.now + 3 * MILLISECOND
+    other = Bench()
+    other.client.upload(0x2000, 0, other.now, block="auto", timeout=3 * MILLISECOND)
+    other.hear("80 00 20 00 01 00 04 05")  # it has no blocks
+    assert other.client.deadline == other.now + 3 * MILLISECOND

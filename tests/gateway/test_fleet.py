@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from canopen_data.descriptions import load_description
 from canopen_gateway import BridgeRefusedError, DoorError, FleetError, Limits
 from canopen_gateway.fleet import (
     FleetEmcy,
+    FleetLease,
     FleetPdo,
     FleetPlace,
     FleetState,
@@ -388,3 +390,29 @@ async def test_two_buses_of_one_name_are_refused() -> None:
     async with await bind_fleet_door(SITE) as door:
         with pytest.raises(ValueError, match="would both be called 'a-b'"):
             door.names_of(["a:b", "a/b"])
+
+
+@real_time
+async def test_however_many_messages_wait_for_a_bridge_none_overtakes_another() -> None:
+    """A stop that its client's next sign of life has overtaken would be refused as old, and the motion would go on."""
+    refused: list[str] = []
+    has_led = False
+    async with fleet(3, allow="motion") as (viewer, served):
+        lease = FleetLease(viewer, FleetPlace(SITE, BUS))
+
+        async def say(do: str) -> None:
+            try:
+                await lease.say(do)
+            except BridgeRefusedError as error:
+                refused.append(error.failed)
+
+        for _ in range(8):
+            await say("take")
+            has_led = has_led or served.service.lease.owner is not None
+            async with trio.open_nursery() as nursery:
+                for _ in range(3):
+                    nursery.start_soon(say, "renew")
+                await trio.lowlevel.checkpoint()  # they are sent
+                time.sleep(0.1)
+    assert has_led
+    assert not [each for each in refused if "old message" in each]

@@ -8,8 +8,10 @@ import trio
 from canopen_gateway import GatewayFullError, Limits, NotAllowedError, PdoTakenError, WatchedObject
 from canopen_master import SdoError
 from canopen_proto import LocalProtocolError, NmtCommand
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.simulation.drive.answers import Answer
 from tests.gateway.gateway_world import gateway
-from tests.master.world import arm_of, virtual_time
+from tests.master.world import arm_of, drives, virtual_time
 
 
 @virtual_time
@@ -106,15 +108,15 @@ async def test_a_client_that_leaves_takes_what_it_had_set_up_with_it() -> None:
 
 @virtual_time
 async def test_a_time_out_of_a_client_never_counts_for_a_node_that_a_chain_moves() -> None:
-    async with gateway(3, 4) as (_, service):
+    async with gateway(3, 4) as (host, service):
+        drives(host)[0].answer(0x1018, 4, Answer(delay=20 * MILLISECOND))
         arm = arm_of(service.master, 3, 4)
-        await arm.initialise()
-        async with service.turn(service.nets[0], 3, 0.001) as node:
-            assert node.remote.sdo.timeout == 500_000_000
-        await arm.shut_down()
-        async with service.turn(service.nets[0], 3, 0.001) as node:
-            assert node.remote.sdo.timeout == 1_000_000
-        assert node.remote.sdo.timeout == 500_000_000
+        with service.open_session("quick") as session:
+            await arm.initialise()
+            assert len(await session.read(service.nets[0], 3, 0x1018, 4, timeout=0.001)) == 4
+            await arm.shut_down()
+            with pytest.raises(SdoError):
+                await session.read(service.nets[0], 3, 0x1018, 4, timeout=0.001)
 
 
 @virtual_time

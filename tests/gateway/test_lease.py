@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 import trio
 
 from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllowedError
 from canopen_gateway.lease import LEASE_TIME
-from canopen_master import Chain, ChainState, Host, open_master
+from canopen_master import Chain, ChainHaltedError, ChainState, Host, open_master
+from canopen_master.simulation.host import standard_drives
+from canopen_proto import LocalNode, SdoAborted
+from canopen_proto.abort import AbortCode
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
-from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.cia402.states import POWERED, State
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtCommand
+from canopen_proto.simulation.drive.answers import Answer
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
+from tests.core.devices import io_device
 from tests.gateway.gateway_world import TextClient, gateway
 from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
 
@@ -97,6 +108,31 @@ async def test_the_chain_brakes_by_its_own_switch_if_the_lease_is_renewed_and_th
             await owner.hold(3)
             assert not is_moving(host)
             assert owner.lease.owner is session
+
+
+@virtual_time
+@pytest.mark.parametrize("renewed", [False, True])
+async def test_however_long_the_joints_need_to_begin_a_jog_that_was_let_go_moves_nothing(renewed: bool) -> None:
+    """The lease is renewed meanwhile: somebody is there, and holds no button."""
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            await Owner(service, session).ready(arm)
+            service.lease.leave(session)
+            await trio.sleep(3)
+            assert arm.state is ChainState.HALTED
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            drives(host)[0].answer(0x6060, 0, Answer(delay=400 * MILLISECOND))
+            before = position_of(host, drives(host)[0])
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            while arm.state is not ChainState.FOLLOWING:
+                if renewed:
+                    owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                    await trio.sleep(0.1)
+                else:
+                    await owner.hold(0.1)
+            await owner.hold(0.5)
+            assert (position_of(host, drives(host)[0]) > before) is renewed
 
 
 @virtual_time
@@ -210,8 +246,6 @@ async def test_without_permission_nobody_has_it_and_everybody_may_halt() -> None
             await arm.follow()
 
             async def moved() -> None:
-                from canopen_master import ChainHaltedError
-
                 with pytest.raises(ChainHaltedError):
                     await arm.move([2.0, 2.0], speed=0.2)
 
@@ -223,6 +257,28 @@ async def test_without_permission_nobody_has_it_and_everybody_may_halt() -> None
                 assert not is_moving(host)
             assert arm.state is ChainState.HALTED
             assert_all_halted(host)
+
+
+@virtual_time
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 0.2, 0.3])
+async def test_a_halt_ends_what_a_program_beside_the_gateway_is_about_to_begin(seconds: float) -> None:
+    """Whoever halts is told that all stands: the program gives its chain no power behind that."""
+    async with machine() as (host, service, arm), trio.open_nursery() as nursery:
+        answers_in_5_ms(host)
+
+        async def program() -> None:
+            begun.set()
+            with pytest.raises(ChainHaltedError):
+                await arm.initialise()
+
+        begun = trio.Event()
+        nursery.start_soon(program)
+        await begun.wait()
+        await trio.sleep(seconds)
+        assert arm.state is ChainState.OFF
+        assert await service.halt() == []
+        await trio.sleep(3)
+        assert all(node.drive.state not in POWERED for node in drives(host))
 
 
 @virtual_time
@@ -259,6 +315,31 @@ async def test_a_gateway_that_ends_halts_what_its_client_moves() -> None:
         assert arm.state is ChainState.HALTED
         assert_all_halted(host)
         await assert_all_stand(host)
+
+
+@virtual_time
+@pytest.mark.parametrize("way", ["leaves", "stops", "is silent"])
+@pytest.mark.parametrize("state", [State.SWITCHED_ON, State.OPERATION_ENABLED])
+async def test_whenever_the_owner_goes_away_no_drive_is_left_with_power_and_without_a_halt(way: str, state: State) -> None:
+    """Its joints were on their way to power; the chain is not initialised yet."""
+    async with machine() as (host, service, arm):
+        answers_in_5_ms(host)
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            owner.lease.enable(session, owner.next(), "arm")
+            while drives(host)[0].drive.state is not state:
+                owner.lease.renew(session, owner.next())
+                await trio.sleep(0.001)
+            assert arm.state is ChainState.OFF
+            if way == "leaves":
+                owner.lease.leave(session)
+            elif way == "stops":
+                owner.lease.stop(session, owner.next())
+            await trio.sleep(3)
+            assert owner.lease.owner is None
+            assert owner.lease.problem == "the lease is over"
+            assert_all_halted(host)
 
 
 @virtual_time
@@ -408,15 +489,167 @@ async def test_a_drive_with_a_fault_may_be_reset_by_everybody() -> None:
 
 
 @virtual_time
+@pytest.mark.parametrize("lost", [False, True])
 @pytest.mark.parametrize("node_id", [0, 3])
-async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id: int) -> None:
-    """This gateway was started beside it, and has never heard of the drive's state."""
+async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id: int, lost: bool) -> None:
+    """This gateway was started beside it, and has never heard of the drive's state. lost: the first answer is."""
     async with gateway(3, 4, allow="nmt") as (host, service), open_master(await open_transport(BUS)) as program:
         await service.find_nodes(service.nets[0])
         for word in (0x80, 0x6, 0x7, 0xF):
             await program.node(3).write("controlword", word)
             await trio.sleep(0.6)
         assert drives(host)[0].drive.state is State.OPERATION_ENABLED
-        with service.open_session("other") as other:
-            assert not await sends(other, NmtCommand.RESET_NODE, node_id)
+        with service.open_session("other") as other, service.master.events(SdoAborted) as failed:
+            if lost:
+                drives(host)[0].answer(0x6041, 0, Answer(delay=30_000 * MILLISECOND))
+            async with trio.open_nursery() as nursery:
+
+                async def reset() -> None:
+                    assert not await sends(other, NmtCommand.RESET_NODE, node_id)
+
+                nursery.start_soon(reset)
+                await trio.sleep(0.1)
+                drives(host)[0].answer(0x6041, 0, Answer())
+            assert [each.abort_code for each in failed.take() if each.node_id == 3] == [AbortCode.TIMED_OUT] * lost
             assert await sends(other, NmtCommand.RESET_NODE, 4)
+
+
+# ---- drives that nobody here has given power ----
+
+POWER = (0x6, 0x7, 0xF)
+
+
+@asynccontextmanager
+async def beside_another_program(*words: int, velocity: int = 0) -> AsyncIterator[tuple[DriveNode, GatewayService, TextClient]]:
+    """A drive in mode pv (node 5), a device that is no drive (node 7), and their gateway. words: controlwords that another
+    program has given the drive. velocity: its target, by that program."""
+    makers = [*standard_drives(5, settings=DriveSettings(track=Track(-1e9, 1e9))), lambda out: LocalNode(out, 7, io_device())]
+    async with gateway(allow="motion,nmt", makers=makers) as (host, service), open_master(await open_transport(BUS)) as program:
+        node = program.node(5)
+        await node.write_bytes(0x6060, 0, b"\3")
+        await program.nmt_start(5)
+        await node.write_bytes(0x60FF, 0, velocity.to_bytes(4, "little"))
+        for word in (0x80, *words):
+            await node.write("controlword", word)
+            await trio.sleep(0.6)
+        await service.find_nodes(service.nets[0])
+        drive = host.nodes[0]
+        assert isinstance(drive, DriveNode)
+        with service.open_session("hand") as session:
+            yield drive, service, TextClient(session)
+
+
+async def moves(drive: DriveNode) -> bool:
+    await trio.sleep(0.6)
+    return value(drive, VELOCITY_ACTUAL_VALUE) != 0
+
+
+@virtual_time
+async def test_whoever_gave_a_drive_power_a_halt_stops_what_a_client_has_set_moving() -> None:
+    async with beside_another_program(*POWER) as (drive, service, client):
+        await service.halt()
+        assert not value(drive, 0x6040_00) & 0x100  # nobody here has commanded it
+        assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+        assert await moves(drive)
+        assert await service.halt() == []
+        assert not await moves(drive)
+
+
+@virtual_time
+async def test_a_halt_stops_what_a_client_has_set_moving_by_a_pdo() -> None:
+    async with beside_another_program(velocity=20_000) as (drive, service, client):
+        assert await client.say("[1] set tpdo 1 0x205 event 1 u16") == "[1] OK"
+        for word in POWER:
+            assert await client.say(f"[2] w pdo 1 1 {word}") == "[2] OK"
+            await trio.sleep(0.6)
+        assert await moves(drive)
+        assert await service.halt(service.nets[0]) == []  # and node 7 is no drive
+        assert not await moves(drive)
+
+
+@virtual_time
+async def test_what_a_client_has_set_moving_and_is_silent_is_named_by_a_halt() -> None:
+    async with beside_another_program(*POWER) as (drive, service, client):
+        assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+        drive.answer(0x6041, 0, Answer(delay=60_000 * MILLISECOND))
+        (problem,) = await service.halt()
+        assert problem.startswith("node 5 on")
+        drive.answer(0x6041, 0, Answer())
+
+
+# ---- beside clients that do not wait ----
+
+
+def answers_in_5_ms(host: Host) -> None:
+    """As real drives do: more than the shortest time-out of a client, and far less than the master's."""
+    for node in drives(host):
+        for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
+            node.answer(index_of(key), 0, Answer(delay=5 * MILLISECOND))
+
+
+@asynccontextmanager
+async def impatient_reader(service: GatewayService, node_id: int) -> AsyncIterator[None]:
+    """A client that may only read asks a drive for its state while the block runs, and waits 1 ms for each answer."""
+    with service.open_session("a reader") as session:
+        client = TextClient(session)
+        assert await client.say("[1] set sdo_timeout 1") == "[1] OK"
+
+        async def read() -> None:
+            while True:
+                await client.say(f"[2] {node_id} r 0x6041 0 u16")
+                await trio.sleep(0.001)
+
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(read)
+            yield
+            nursery.cancel_scope.cancel()
+
+
+@asynccontextmanager
+async def running_drive(**options: Any) -> AsyncIterator[tuple[Host, GatewayService]]:
+    """A gateway, and a drive on node 5 that runs at a velocity (pv): a client has said so, by single writes."""
+    makers = standard_drives(5, settings=DriveSettings(track=Track(-1e9, 1e9)))
+    async with gateway(allow="motion,nmt", makers=makers, **options) as (host, service):
+        with service.open_session("hand") as session:
+            client = TextClient(session)
+            await client.say("[1] 5 w 0x6060 0 i8 3")
+            for word in ("0x80", "6", "7", "0xF"):
+                assert await client.say(f"[1] 5 w 0x6040 0 u16 {word}") == "[1] OK"
+                await trio.sleep(0.6)
+            assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+            await trio.sleep(0.6)
+        assert is_moving(host)
+        yield host, service
+
+
+@virtual_time
+async def test_however_little_a_reader_waits_a_halt_stops_the_drive_and_is_confirmed() -> None:
+    async with running_drive() as (host, service):
+        answers_in_5_ms(host)
+        async with impatient_reader(service, 5):
+            await trio.sleep(0.1)
+            assert await service.halt() == []
+            assert not is_moving(host)
+
+
+@virtual_time
+async def test_however_little_a_reader_waits_the_owner_gives_power() -> None:
+    async with machine() as (host, service, arm):
+        answers_in_5_ms(host)
+        with service.open_session("hand") as session:
+            async with impatient_reader(service, 3):
+                await Owner(service, session).ready(arm)
+
+
+@virtual_time
+async def test_however_little_a_client_waits_the_drive_is_asked_whether_it_has_power() -> None:
+    async with gateway(3, allow="program") as (host, service), open_master(await open_transport(BUS)) as program:
+        await service.find_nodes(service.nets[0])
+        for word in (0x80, 0x6, 0x7, 0xF):
+            await program.node(3).write("controlword", word)
+            await trio.sleep(0.6)
+        answers_in_5_ms(host)
+        with service.open_session("other") as session:
+            client = TextClient(session)
+            await client.say("[1] set sdo_timeout 1")
+            assert (await client.say("[2] 3 w 0x1F51 1 u8 0")).startswith("[2] ERROR:102 #writing 0x1F51:01 of node 3")

@@ -255,6 +255,33 @@ async def test_a_path_is_refused_before_anything_moves(case: str) -> None:
 
 
 @virtual_time
+async def test_whatever_limits_are_lifted_no_joint_jumps_to_the_start_of_a_path() -> None:
+    path, failed, _ = REFUSED["begins elsewhere"]
+    async with arms(2, axis=replace(AXIS, max_speed=math.inf, max_acceleration=math.inf)) as (_, [arm], record):
+        for given in (path, lambda start: path):
+            with pytest.raises(PathRefusedError, match=failed):
+                await arm.follow(given)
+        assert record.largest(1) == 0
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.04, 0.08, math.inf])
+@virtual_time
+async def test_whatever_ends_meanwhile_a_path_from_rest_without_room_to_stop_is_refused_at_once(ahead: float) -> None:
+    """The joints stand in another motion, which ends while the path is looked at, or is paused and never ends."""
+    async with arms(2, axis=replace(AXIS, max_position=2.0, max_jerk=math.inf)) as (_, [arm], record):
+        await arm.follow()
+        arm.override = 0.0 if ahead == math.inf else 1.0
+        async with loop.open_nursery() as nursery:
+            nursery.start_soon(arm.follow, Path([[Segment(0.05, (0.0,))], [Segment(0.05, (0.0,))]]))
+            await loop.sleep(min(ahead, 1.0))
+            with loop.move_on_after(5) as limit, pytest.raises(PathRefusedError, match="cannot be followed"):
+                await arm.follow(lambda start: parabola(4.0))
+            assert not limit.cancelled_caught
+            nursery.cancel_scope.cancel()
+        assert record.largest(1) == 0
+
+
+@virtual_time
 async def test_what_else_is_refused() -> None:
     async with arms(2) as (_, [arm], record):
         with pytest.raises(PathError, match="from 0"):

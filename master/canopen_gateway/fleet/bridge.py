@@ -23,7 +23,8 @@ import logging
 import secrets
 import time
 from collections import defaultdict, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -311,7 +312,7 @@ class FleetDoor:
                 self.dropped_queries += 1
                 return
             self._urgent += 1
-            nursery.start_soon(self._answer, query, *found)
+            nursery.start_soon(self._answer, query, *found, self._led(query, *found))
             return
         if self._answering >= MOST_WAITING:
             query.drop()  # type: ignore[no-untyped-call]  # told nothing: an answer may have to wait, too
@@ -323,7 +324,7 @@ class FleetDoor:
         elif self._answering > self._service.limits.requests:
             nursery.start_soon(self._refuse, query, GatewayFullError("requests at a time", self._service.limits.requests))
         else:
-            nursery.start_soon(self._answer, query, *found)
+            nursery.start_soon(self._answer, query, *found, [])
 
     def _is_copy(self, query: zenoh.Query) -> bool:
         """Return whether a query has come before: by another router, to which both sides are connected. It is served once."""
@@ -344,13 +345,23 @@ class FleetDoor:
             query.drop()  # type: ignore[no-untyped-call]
             self._answering -= 1
 
-    async def _answer(self, query: zenoh.Query, pattern: FleetPlace, rest: Sequence[str]) -> None:
-        """Serve a query. Its answers go out in a thread of their own: who asked may be hung, and Zenoh then waits for him."""
+    def _led(self, query: zenoh.Query, place: FleetPlace, rest: Sequence[str]) -> list[Answer]:
+        """Do what a message about the lease says, and return the answer; none for another query. It is done here and not in a
+        task: tasks begin in any order, and a message that another one has overtaken is refused as old, be it a stop."""
         answers: list[Answer] = []
+        if list(rest) == [keys.LEASE] and place in [FleetPlace(self.site, name) for name in self.buses]:
+            with self._refusals(place, rest, answers):
+                answers.append((key_of(place, *rest), _json(self._lead.say(_payload(query))), None))
+        return answers
+
+    async def _answer(self, query: zenoh.Query, pattern: FleetPlace, rest: Sequence[str], answers: list[Answer]) -> None:
+        """Serve a query, unless there are answers already. They go out in a thread of their own: who asked may be hung, and Zenoh
+        then waits for him."""
+        is_served = bool(answers)
         try:
-            if rest[0] in ONE_PLACE and (pattern.node_id < 0 or keys.ANY in pattern):
+            if not is_served and rest[0] in ONE_PLACE and (pattern.node_id < 0 or keys.ANY in pattern):
                 answers.append(_refusal(QueryRefusedError(f"{rest[0]} is for one place, and {pattern} is many")))
-            else:
+            elif not is_served:
                 async with trio.open_nursery() as nursery:
                     for place in self._places(pattern):
                         nursery.start_soon(self._answer_for, query, place, rest, answers)
@@ -378,27 +389,28 @@ class FleetDoor:
         return found
 
     async def _answer_for(self, query: zenoh.Query, place: FleetPlace, rest: Sequence[str], answers: list[Answer]) -> None:
-        try:
+        with self._refusals(place, rest, answers):
             served = await self._serve(query, place, list(rest))
+            answers += [(key_of(place, *rest), data, attachment) for data, attachment in served]
+
+    @contextmanager
+    def _refusals(self, place: FleetPlace, rest: Sequence[str], answers: list[Answer]) -> Iterator[None]:
+        """Let what is refused be an answer."""
+        try:
+            yield
         except (GatewayError, MasterError, ProcedureError, LocalProtocolError, ValueError) as error:
             answers.append(_refusal(error, place))
         except Exception:  # a mistake of ours ends neither the door nor the master
             LOGGER.exception("the query %s for %s failed", rest, place)
             answers.append(_refusal(QueryRefusedError("a mistake in this bridge"), place))
-        else:
-            answers += [(key_of(place, *rest), data, attachment) for data, attachment in served]
 
     async def _serve(self, query: zenoh.Query, place: FleetPlace, rest: list[str]) -> list[tuple[bytes, bytes | None]]:
         """Do what a query asks for; return the answers, each with what stands beside it."""
         net = self.buses[place.bus]
-        payload = b"" if query.payload is None else bytes(query.payload)
-        if len(payload) > MAX_PAYLOAD:
-            raise QueryRefusedError(f"a payload of {len(payload)} bytes: {MAX_PAYLOAD} at most")
+        payload = _payload(query)
         match place.node_id, rest:
             case 0, [keys.STATUS]:
                 return [(_json(self._status(place.bus, net)), None)]
-            case 0, [keys.LEASE]:
-                return [(_json(self._lead.say(payload)), None)]
             case node_id, [keys.HALT]:
                 return [(_json(await self._service.halt(net, node_id)), None)]
             case int(node_id), [keys.GET, text] if node_id:
@@ -511,6 +523,13 @@ def _refusal(error: Exception, place: FleetPlace | None = None) -> Answer:
     if isinstance(error, SdoError):
         said |= {"abort": error.abort_code, "not_confirmed": isinstance(error, SdoNotConfirmedError)}
     return None, _json(said), None
+
+
+def _payload(query: zenoh.Query) -> bytes:
+    payload = b"" if query.payload is None else bytes(query.payload)
+    if len(payload) > MAX_PAYLOAD:
+        raise QueryRefusedError(f"a payload of {len(payload)} bytes: {MAX_PAYLOAD} at most")
+    return payload
 
 
 def _reply(query: zenoh.Query, answers: Sequence[Answer]) -> None:

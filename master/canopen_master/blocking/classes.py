@@ -170,13 +170,35 @@ class BlockingNode(NodeTwin):
         """Read an object that holds text. Raises LocalProtocolError, with nothing sent, for another type."""
         return self._hub.run(timeout, self._inner.read_str, key, block=block)
 
-    def read_bytes(self, key: Key, subindex: int | None = None, *, block: Block = False, timeout: float | None = None) -> bytes:
-        """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default."""
-        return self._hub.run(timeout, self._inner.read_bytes, key, subindex, block=block)
+    def read_bytes(
+        self,
+        key: Key,
+        subindex: int | None = None,
+        *,
+        block: Block = False,
+        patience: float | None = None,
+        timeout: float | None = None,
+    ) -> bytes:
+        """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default. patience:
+        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least.
+        """
+        return self._hub.run(timeout, self._inner.read_bytes, key, subindex, block=block, patience=patience)
 
-    def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False, timeout: float | None = None) -> None:
-        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`. data: little-endian."""
-        self._hub.run(timeout, self._inner.write_bytes, index, subindex, data, block=block)
+    def write_bytes(
+        self,
+        index: int,
+        subindex: int,
+        data: bytes,
+        *,
+        block: Block = False,
+        patience: float | None = None,
+        timeout: float | None = None,
+    ) -> None:
+        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`. data: little-endian.
+
+        patience: as of `read_bytes`; it counts neither for a controlword nor for the COB-ID of a PDO.
+        """
+        self._hub.run(timeout, self._inner.write_bytes, index, subindex, data, block=block, patience=patience)
 
     def read_stream(self, index: int, subindex: int = 0, *, block: Block = "auto") -> BlockingReadStream:
         """Read any object piece by piece: `for piece in node.read_stream(0x1F50, 1)`. See streams.py.
@@ -816,6 +838,11 @@ class BlockingChain(BlockingMoving):
     def state(self) -> ChainState:
         """The state of a chain decides which commands it takes."""
         return self._hub.do(lambda: self._inner.state)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a command is under way: one that may give its joints power, though it is OFF yet; or one that moves them."""
+        return self._hub.do(lambda: self._inner.is_busy)
 
     @property
     def motion(self) -> Motion | None:

@@ -82,6 +82,7 @@ class Chain(Moving):
         self._heartbeat_timeout = heartbeat_timeout
         self._chains = chains
         self._nodes = tuple(dict.fromkeys(device.node for device in devices))
+        self._initialising = 0
 
     def __repr__(self) -> str:
         return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
@@ -92,6 +93,11 @@ class Chain(Moving):
     def state(self) -> ChainState:
         """The state of a chain decides which commands it takes."""
         return self._member.state
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a command is under way: one that may give its joints power, though it is OFF yet; or one that moves them."""
+        return self._initialising > 0 or bool(self._member.command.busy_with)
 
     @property
     def motion(self) -> Motion | None:
@@ -177,6 +183,13 @@ class Chain(Moving):
         Raises ChainFaultError if a fault stays, ChainError for a joint that does not answer, does not stand, or refuses, and
         before it sets anything up if the PDOs do not fit on the bus (bus_room.py).
         """
+        self._initialising += 1
+        try:
+            await self._initialise()
+        finally:
+            self._initialising -= 1
+
+    async def _initialise(self) -> None:
         participant, member, settings = self._participant, self._member, self.settings
         cycle, period = settings.cycle_time, member.set_points.period
         member.require_idle("initialise")

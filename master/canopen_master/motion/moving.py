@@ -331,7 +331,7 @@ class Moving:
                 self._require_movable(what)
                 break
             except PathRefusedError:
-                if present is None:
+                if present is None or not is_moving:  # from rest it is the path itself, however long one waits
                     raise
                 await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
         await self._run(clock, start, torques)

@@ -82,7 +82,8 @@ def check_start(
     cycle_time: s.
 
     The step to the start of the path, in one cycle, must be within the acceleration of the joint, and no longer than its way in
-    START_TIME; START_COUNTS are allowed in any case. The speed of joints that move may change by the acceleration of one cycle.
+    START_TIME; START_COUNTS are allowed in any case, and no more to a joint without these limits. The speed of joints that move
+    may change by the acceleration of one cycle.
     """
     if path.joints != len(devices):
         names = ", ".join(device.name for device in devices)
@@ -91,7 +92,7 @@ def check_start(
     for device, each, here, there in zip(devices, limits, start.positions, wanted, strict=True):
         rounding = device.axis.scale.amount_from_counts(START_COUNTS)
         step = min((each.acceleration or 0.0) * cycle_time * cycle_time, (each.speed or 0.0) * START_TIME)
-        tolerance = max(rounding, step)
+        tolerance = max(rounding, step) if math.isfinite(step) else rounding
         if abs(there - here) > tolerance:
             raise PathRefusedError(
                 f"the path does not begin where {device.name} stands",
