@@ -60,7 +60,7 @@ class SegmentReceiver(SegmentedTransfer):
         end = self.end
         end.out.frames.append(reply)
         self.state = SEGMENTS
-        self.deadline = now + self.timeout
+        self.deadline = now + (self.own_timeout or end.timeout)
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
         if self.state is not SEGMENTS:
@@ -96,7 +96,7 @@ class SegmentReceiver(SegmentedTransfer):
                 self._hand_over(self._take(), reply, now)
             else:
                 end.out.frames.append(reply)
-                self.deadline = now + self.timeout
+                self.deadline = now + (self.own_timeout or end.timeout)
         return True
 
     def _unpack(self) -> None:

@@ -173,7 +173,7 @@ class Download(SegmentedTransfer):
         toggle = due & TOGGLE
         payload = HEADS[toggle] + content[offset:behind] if behind < len(content) else segment(toggle, content, offset)
         end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
-        self.deadline = now + self.timeout
+        self.deadline = now + (self.own_timeout or end.timeout)
 
     @property
     def is_all_sent(self) -> bool:
