@@ -107,7 +107,7 @@ class Script(Machine):
 
 @dataclass(frozen=True)
 class Asked:
-    """One request of one of our clients."""
+    """One request of one of our clients. timeout: its own, or None."""
 
     client: int
     at: Time
@@ -116,6 +116,7 @@ class Asked:
     block: Block
     urgent: bool
     stream: bool = False
+    timeout: Time | None = None
 
 
 @dataclass(frozen=True)
@@ -179,11 +180,11 @@ def run(case: Case, told: Counter[str] | None = None) -> list[str]:
         bus.run(each.at - bus.now)
         client, data = clients[each.client], content(each.index, salt)
         if each.is_write:
-            request_id = client.download(each.index, 0, data, bus.now, urgent=each.urgent, block=each.block)
+            request_id = client.download(each.index, 0, data, bus.now, urgent=each.urgent, block=each.block, timeout=each.timeout)
         elif each.stream:
             request_id = client.upload_stream(each.index, 0, bus.now, urgent=each.urgent)
         else:
-            request_id = client.upload(each.index, 0, bus.now, urgent=each.urgent, block=each.block)
+            request_id = client.upload(each.index, 0, bus.now, urgent=each.urgent, block=each.block, timeout=each.timeout)
         opened[request_id] = each, bus.now, salt
     bus.settle(120 * SECOND)
     wrong += [f"{ends[request_id]} outcomes: {each}" for request_id, (each, _, _) in opened.items() if ends[request_id] != 1]
@@ -192,6 +193,7 @@ def run(case: Case, told: Counter[str] | None = None) -> list[str]:
 
 BLOCKS: Final[tuple[Block, ...]] = (False, False, True, "auto")
 DELAYS: Final = (0, 60 * MICROSECOND, MILLISECOND, 8 * MILLISECOND)
+TIMEOUTS: Final = (None, None, 100 * MILLISECOND, 2 * SECOND)  # all longer than any queue of these delays
 GAPS: Final = (50 * MICROSECOND, 400 * MICROSECOND, 5 * MILLISECOND, 150 * MILLISECOND)
 
 
@@ -229,6 +231,7 @@ def _asked(source: Random, clients: int, objects: list[int], spans: Sequence[Tim
         block=source.choice(BLOCKS),
         urgent=source.randint(0, 1 if is_close else 3) == 0,
         stream=stream,
+        timeout=source.choice(TIMEOUTS),
     )
 
 
