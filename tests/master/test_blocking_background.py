@@ -11,7 +11,7 @@ import pytest
 import trio
 
 from canopen_master.blocking.background import Background, _Call
-from canopen_master.blocking.loop_thread import Waker
+from canopen_master.blocking.loop_thread import WATCH_INTERVAL, Waker
 from canopen_master.errors import MasterClosedError
 from canopen_proto.machine import LocalProtocolError
 
@@ -468,6 +468,8 @@ def test_what_goes_last_outlives_the_others_when_its_thread_has_ended() -> None:
     @contextlib.asynccontextmanager
     async def named(name: str) -> AsyncIterator[str]:
         yield name
+        if name == "master":  # halting its drives takes it longer than they would need to be gone
+            await trio.sleep(4 * WATCH_INTERVAL)
         log.append(name)
 
     backgrounds: list[Background[str]] = []
