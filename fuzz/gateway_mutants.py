@@ -340,6 +340,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "halt_ends_as_power_is_asked_for",
+            _LEASE,
+            "        await _enabled(arm)\n        self._halted_by_hand.discard(arm.name)",
+            "        self._halted_by_hand.discard(arm.name)\n        await _enabled(arm)",
+            "somebody has halted a chain, and it moves again though nobody has given it power anew",
+            LEASE,
+        ),
+        (
             "asked_once",
             _LEASE,
             "        except SdoTimeoutError:\n            data = await node.read_bytes(index, 0)\n",

@@ -203,8 +203,7 @@ class Lease:
     def enable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Give the joints of a chain power, and let them follow; in the background. Raises LeaseError, UnknownChainError."""
         arm = self._begin(session, sequence, chain, "enable")
-        self._halted_by_hand.discard(chain)
-        self._run("enable", lambda: _enabled(arm))
+        self._run("enable", lambda: self._enabling(arm))
 
     def disable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Halt the joints of a chain and take their power away; in the background. Raises as `enable`."""
@@ -346,6 +345,10 @@ class Lease:
             if self._scope is scope:
                 self._scope, self.doing, self._commissioned = None, "", None
                 self._ended.set()
+
+    async def _enabling(self, arm: Chain) -> None:
+        await _enabled(arm)
+        self._halted_by_hand.discard(arm.name)  # not before: it may be ended at once, with the joints as they were
 
     async def _jogging(self, arm: Chain) -> None:
         async with arm.jog(renew_within=LEASE_TIME) as jog:

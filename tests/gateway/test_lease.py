@@ -404,6 +404,28 @@ async def test_somebodys_halt_holds_though_the_owner_goes_on_sending() -> None:
             assert is_moving(host)
 
 
+@virtual_time
+async def test_power_that_was_only_asked_for_ends_nobodys_halt() -> None:
+    """A halted chain has power still: who ends `enable` at once has not looked whether it may move again."""
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            await service.halt()
+            await trio.sleep(1)
+            service.lease.take(session)
+            owner.number = 0
+            owner.lease.enable(session, owner.next(), "arm")
+            owner.lease.stop(session, owner.next())
+            await owner.hold(0.3)
+            assert owner.lease.doing == ""
+            with pytest.raises(LeaseError, match="was halted"):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            await owner.hold(0.5)
+            assert not is_moving(host)
+            assert_all_halted(host)
+
+
 async def sends(session: GatewaySession, command: NmtCommand, node_id: int) -> bool:
     """Whether an NMT command is sent."""
     try:
