@@ -386,7 +386,8 @@ class Lease:
                     else:  # some of its joints may have got power already
                         left |= {device.node for device in chain.devices}
                 for node in left:
-                    nursery.start_soon(self._halted, node.where, partial(self._left, node), problems)
+                    for axis in node.axes or (0,):
+                        nursery.start_soon(self._halted, node.where, partial(self._left, node, axis), problems)
         if moved or problems:
             LOGGER.warning(
                 "%s: what %s moved was halted. %s", why, "nobody" if owner is None else owner.name, "; ".join(problems)
@@ -397,14 +398,13 @@ class Lease:
         self._set_up.clear()
         self.owner = None
 
-    async def _left(self, node: Node) -> None:
+    async def _left(self, node: Node, axis: int) -> None:
         """Wait for the end of what was under way with a drive. If it has power then, it is halted: the end of a commissioning did
         not succeed in that, or its chain was about to be enabled."""
         if self._scope is not None:
             await self._ended.wait()
         if self._has_power(node):
-            for axis in node.axes or (0,):
-                await self._halt_of(node, axis)()
+            await self._halt_of(node, axis)()
 
     async def _halted(self, what: str, stop: Callable[[], Awaitable[object]], problems: list[str]) -> None:
         try:

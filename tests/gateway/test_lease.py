@@ -17,7 +17,7 @@ from canopen_proto import LocalNode, SdoAborted
 from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
-from canopen_proto.drives.cia402.states import POWERED, State
+from canopen_proto.drives.cia402.states import POWERED, State, state_of
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtCommand
@@ -27,6 +27,7 @@ from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
 from tests.core.devices import io_device
 from tests.gateway.gateway_world import TextClient, gateway
+from tests.master.test_several_axes import SHOULDER, chain_of, two_axes
 from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
 
 
@@ -340,6 +341,29 @@ async def test_whenever_the_owner_goes_away_no_drive_is_left_with_power_and_with
             assert owner.lease.owner is None
             assert owner.lease.problem == "the lease is over"
             assert_all_halted(host)
+
+
+@virtual_time
+async def test_of_two_drives_on_one_node_each_is_halted_though_the_other_refuses() -> None:
+    async with gateway(allow="motion", makers=[two_axes]) as (host, service):
+        arm = chain_of(service.master, *SHOULDER)
+        (node,) = drives(host)
+        for index in (0x6040, 0x6041, 0x6840, 0x6841):
+            node.answer(index, 0, Answer(delay=5 * MILLISECOND))
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            owner.lease.enable(session, owner.next(), "arm")
+            while any(state_of(value(node, key)) is not State.OPERATION_ENABLED for key in (0x6041_00, 0x6841_00)):
+                owner.lease.renew(session, owner.next())
+                await trio.sleep(0.001)
+            assert arm.state is ChainState.OFF
+            node.answer(0x6040, 0, Answer(abort=AbortCode.GENERAL_ERROR))
+            owner.lease.leave(session)
+            await trio.sleep(8)
+            assert value(node, 0x6840_00) & 0x100
+            assert owner.lease.problem.startswith("the lease is over; node 3 on")
+        node.answer(0x6040, 0, Answer())
 
 
 @virtual_time
