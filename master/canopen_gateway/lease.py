@@ -40,7 +40,7 @@ from canopen_gateway.errors import LeaseError
 from canopen_gateway.guard import Guard, Permission
 from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError, SdoTimeoutError
 from canopen_proto.drives import halt
-from canopen_proto.drives.cia402.axes import axis_of, swapped
+from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.drives.cia402.states import POWERED, state_of
 from canopen_proto.machine import LocalProtocolError
@@ -174,7 +174,7 @@ class Lease:
         """Add a node to `powered` if it says that a drive of it has power."""
         if self._master.bus(node.bus).network.heard(node.node_id).state is NmtState.STOPPED:
             return  # it has no SDO then (CiA 301 v4.2.0, 7.3.2.2.4)
-        for axis in node.axes or (0,):
+        for axis in _axes(node):
             with suppress(MasterError):
                 if await self._says_powered(node, axis):
                     powered.add(node)
@@ -386,7 +386,7 @@ class Lease:
                     else:  # some of its joints may have got power already
                         left |= {device.node for device in chain.devices}
                 for node in left:
-                    for axis in node.axes or (0,):
+                    for axis in _axes(node):
                         nursery.start_soon(self._halted, node.where, partial(self._left, node, axis), problems)
         if moved or problems:
             LOGGER.warning(
@@ -440,7 +440,7 @@ class Lease:
         found = {(node, axis) for node, axes in self._commanded.items() for axis in axes}
         for each in self._pdos_sent:
             nodes = [self._master.node(number, bus=each) for number in self._master.bus(each).network.heard_nodes()]
-            found |= {(node, axis) for node in nodes for axis in node.axes or (0,)}
+            found |= {(node, axis) for node in nodes for axis in _axes(node)}
         for node, axis in found:
             is_halted = axis in (node.axes_enabled or ((0,) if node_id else ()))
             if _is_at(node, net, node_id) and node not in led and not is_halted:
@@ -480,6 +480,11 @@ async def _enabled(arm: Chain) -> None:
 def _led(chain: Chain) -> Sequence[Device]:
     """Return the joints of a chain that it moves, or holds, at present."""
     return () if chain.state is ChainState.OFF else chain.devices
+
+
+def _axes(node: Node) -> Sequence[int]:
+    """Return the axes that a node may have: those in use, and those that its dictionary describes."""
+    return sorted({*node.axes, *axes_of(node.dictionary)}) or (0,)
 
 
 def _is_at(node: Node, net: str | None, node_id: int) -> bool:

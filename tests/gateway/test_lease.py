@@ -27,7 +27,7 @@ from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
 from tests.core.devices import io_device
 from tests.gateway.gateway_world import TextClient, gateway
-from tests.master.test_several_axes import SHOULDER, chain_of, two_axes
+from tests.master.test_several_axes import SHOULDER, TWO, chain_of, two_axes
 from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
 
 
@@ -558,6 +558,20 @@ async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id
                 drives(host)[0].answer(0x6041, 0, Answer())
             assert [each.abort_code for each in failed.take() if each.node_id == 3] == [AbortCode.TIMED_OUT] * lost
             assert await sends(other, NmtCommand.RESET_NODE, 4)
+
+
+@virtual_time
+async def test_each_axis_that_a_node_may_have_is_asked_for_its_power() -> None:
+    """This gateway knows from the node's dictionary that it has two, and uses neither."""
+    async with gateway(allow="nmt", makers=[two_axes]) as (host, service), open_master(await open_transport(BUS)) as program:
+        service.master.node(3, TWO)
+        for word in (0x80, 0x6, 0x7, 0xF):
+            await program.node(3, TWO).write((0x6840, 0), word)
+            await trio.sleep(0.6)
+        (node,) = drives(host)
+        assert state_of(value(node, 0x6841_00)) is State.OPERATION_ENABLED
+        with service.open_session("other") as other:
+            assert not await sends(other, NmtCommand.RESET_NODE, 3)
 
 
 # ---- drives that nobody here has given power ----
