@@ -348,6 +348,22 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "guarding_ended_by_anybody",
+            _SERVICE,
+            "        if self.service.is_moved(node) or (node.remote.guarding.guard_time and not is_ours):",
+            "        if self.service.is_moved(node):",
+            "a client ends the node guarding by which this master knows that a drive has fallen silent",
+            LEASE,
+        ),
+        (
+            "guarded_to_death",
+            _SERVICE,
+            "        if self.service.is_moved(node) or (node.remote.guarding.guard_time and not is_ours):",
+            "        if node.remote.guarding.guard_time and not is_ours:",
+            "a client guards a joint that sends heartbeats, and the chain is stopped: the joint is lost, it says",
+            LEASE,
+        ),
+        (
             "asked_once",
             _LEASE,
             "        except SdoTimeoutError:\n            data = await node.read_bytes(index, 0)\n",

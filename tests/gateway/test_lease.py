@@ -512,6 +512,45 @@ async def test_a_drive_with_power_takes_nmt_commands_from_the_owner_of_the_lease
 
 
 @virtual_time
+async def test_nobody_elses_node_guarding_stops_a_chain() -> None:
+    """Its joints send heartbeats, so they do not answer it, and would count as lost."""
+    async with machine("motion,nmt") as (host, service, arm):
+        await service.master.node(3).write_bytes(0x1017, 0, b"\x64\0")
+        with service.open_session("hand") as session, service.open_session("other") as other:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            answer = await TextClient(other).say("[1] 3 enable guarding 10 1")
+            await owner.hold(0.25)
+            assert is_moving(host)
+            assert answer.startswith("[1] ERROR:102 #node guarding of node 3 on")
+
+
+@virtual_time
+async def test_no_client_ends_the_node_guarding_that_this_master_does_for_itself() -> None:
+    async with machine("nmt") as (_, service, _):
+        guarding = service.master.node(4).remote.guarding
+        service.master.node(4).start_guarding(0.1)
+        with service.open_session("other") as other:
+            client = TextClient(other)
+            for line in ("4 disable guarding", "4 enable guarding 60000 255"):
+                assert (await client.say(f"[1] {line}")).startswith("[1] ERROR:102 #node guarding of node 4 on")
+        assert guarding.guard_time == 100 * MILLISECOND
+
+
+@virtual_time
+async def test_node_guarding_ends_with_the_last_client_that_wants_it() -> None:
+    async with machine("nmt") as (_, service, _):
+        guarding = service.master.node(4).remote.guarding
+        with service.open_session("one") as one:
+            with service.open_session("other") as other:
+                for session in (one, other):
+                    session.guard_node(service.nets[0], 4, 0.1, 3)
+            assert guarding.guard_time
+        assert not guarding.guard_time
+
+
+@virtual_time
 async def test_the_owner_of_the_lease_may_reset_a_drive_with_power() -> None:
     async with machine("motion,nmt") as (_, service, arm):
         with service.open_session("hand") as one:
