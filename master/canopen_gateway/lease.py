@@ -40,7 +40,7 @@ from canopen_gateway.errors import LeaseError
 from canopen_gateway.guard import Guard, Permission
 from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError, SdoTimeoutError
 from canopen_proto.drives import halt
-from canopen_proto.drives.cia402.axes import axis_of, swapped
+from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.drives.cia402.states import POWERED, state_of
 from canopen_proto.machine import LocalProtocolError
@@ -174,7 +174,7 @@ class Lease:
         """Add a node to `powered` if it says that a drive of it has power."""
         if self._master.bus(node.bus).network.heard(node.node_id).state is NmtState.STOPPED:
             return  # it has no SDO then (CiA 301 v4.2.0, 7.3.2.2.4)
-        for axis in node.axes or (0,):
+        for axis in _axes(node):
             with suppress(MasterError):
                 if await self._says_powered(node, axis):
                     powered.add(node)
@@ -203,8 +203,7 @@ class Lease:
     def enable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Give the joints of a chain power, and let them follow; in the background. Raises LeaseError, UnknownChainError."""
         arm = self._begin(session, sequence, chain, "enable")
-        self._halted_by_hand.discard(chain)
-        self._run("enable", lambda: _enabled(arm))
+        self._run("enable", lambda: self._enabling(arm))
 
     def disable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Halt the joints of a chain and take their power away; in the background. Raises as `enable`."""
@@ -347,6 +346,10 @@ class Lease:
                 self._scope, self.doing, self._commissioned = None, "", None
                 self._ended.set()
 
+    async def _enabling(self, arm: Chain) -> None:
+        await _enabled(arm)
+        self._halted_by_hand.discard(arm.name)  # not before: it may be ended at once, with the joints as they were
+
     async def _jogging(self, arm: Chain) -> None:
         async with arm.jog(renew_within=LEASE_TIME) as jog:
             self._jog = jog
@@ -383,7 +386,8 @@ class Lease:
                     else:  # some of its joints may have got power already
                         left |= {device.node for device in chain.devices}
                 for node in left:
-                    nursery.start_soon(self._halted, node.where, partial(self._left, node), problems)
+                    for axis in _axes(node):
+                        nursery.start_soon(self._halted, node.where, partial(self._left, node, axis), problems)
         if moved or problems:
             LOGGER.warning(
                 "%s: what %s moved was halted. %s", why, "nobody" if owner is None else owner.name, "; ".join(problems)
@@ -394,14 +398,13 @@ class Lease:
         self._set_up.clear()
         self.owner = None
 
-    async def _left(self, node: Node) -> None:
+    async def _left(self, node: Node, axis: int) -> None:
         """Wait for the end of what was under way with a drive. If it has power then, it is halted: the end of a commissioning did
         not succeed in that, or its chain was about to be enabled."""
         if self._scope is not None:
             await self._ended.wait()
         if self._has_power(node):
-            for axis in node.axes or (0,):
-                await self._halt_of(node, axis)()
+            await self._halt_of(node, axis)()
 
     async def _halted(self, what: str, stop: Callable[[], Awaitable[object]], problems: list[str]) -> None:
         try:
@@ -437,7 +440,7 @@ class Lease:
         found = {(node, axis) for node, axes in self._commanded.items() for axis in axes}
         for each in self._pdos_sent:
             nodes = [self._master.node(number, bus=each) for number in self._master.bus(each).network.heard_nodes()]
-            found |= {(node, axis) for node in nodes for axis in node.axes or (0,)}
+            found |= {(node, axis) for node in nodes for axis in _axes(node)}
         for node, axis in found:
             is_halted = axis in (node.axes_enabled or ((0,) if node_id else ()))
             if _is_at(node, net, node_id) and node not in led and not is_halted:
@@ -477,6 +480,11 @@ async def _enabled(arm: Chain) -> None:
 def _led(chain: Chain) -> Sequence[Device]:
     """Return the joints of a chain that it moves, or holds, at present."""
     return () if chain.state is ChainState.OFF else chain.devices
+
+
+def _axes(node: Node) -> Sequence[int]:
+    """Return the axes that a node may have: those in use, and those that its dictionary describes."""
+    return sorted({*node.axes, *axes_of(node.dictionary)}) or (0,)
 
 
 def _is_at(node: Node, net: str | None, node_id: int) -> bool:

@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 import trio
 
-from canopen_gateway.errors import GatewayFullError, PdoTakenError
+from canopen_gateway.errors import GatewayFullError, LeaseError, PdoTakenError
 from canopen_gateway.guard import Guard, Permission, permission_to_write
 from canopen_gateway.layer_settings import LayerSettings
 from canopen_gateway.lease import Lease
@@ -275,6 +275,8 @@ class GatewaySession:
         self._ears.clear()
         self._ports.clear()
         self._put.close()
+        for place in tuple(self._guarded):
+            self._end_guarding(place)
 
     # ---- objects ----
 
@@ -352,15 +354,24 @@ class GatewaySession:
 
     def guard_node(self, net: str, node_id: int, guard_time: float, life_time_factor: int) -> None:
         """Ask a node once per guard time (seconds) whether it lives: node guarding. NodeGuardingLost follows. 0 for either ends
-        it. Raises NotAllowedError, LocalProtocolError."""
+        it, unless another client wants it. Raises NotAllowedError, LocalProtocolError; LeaseError for a node that a chain uses,
+        which is stopped without an answer, and for one that this master guards for itself."""
         self.service.guard.require(Permission.NMT, "node guarding")
-        node = self.service.node(net, node_id)
+        node, place = self.service.node(net, node_id), (net, node_id)
+        is_ours = any(place in session._guarded for session in self.service.sessions)
+        if self.service.is_moved(node) or (node.remote.guarding.guard_time and not is_ours):
+            why = "a chain uses it" if self.service.is_moved(node) else "this master guards it for itself"
+            raise LeaseError(f"node guarding of {node.where} was refused: {why}", tries=("its heartbeat tells whether it lives",))
         if guard_time and life_time_factor:
             node.start_guarding(guard_time, life_time_factor)
-            self._guarded.add((net, node_id))
+            self._guarded.add(place)
         else:
-            node.stop_guarding()
-            self._guarded.discard((net, node_id))
+            self._end_guarding(place)
+
+    def _end_guarding(self, place: tuple[str, int]) -> None:
+        self._guarded.discard(place)
+        if not any(place in session._guarded for session in self.service.sessions):
+            self.service.node(*place).stop_guarding()
 
     # ---- events ----
 

@@ -17,7 +17,7 @@ from canopen_proto import LocalNode, SdoAborted
 from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
-from canopen_proto.drives.cia402.states import POWERED, State
+from canopen_proto.drives.cia402.states import POWERED, State, state_of
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtCommand
@@ -27,6 +27,7 @@ from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
 from tests.core.devices import io_device
 from tests.gateway.gateway_world import TextClient, gateway
+from tests.master.test_several_axes import SHOULDER, TWO, chain_of, two_axes
 from tests.master.world import BUS, arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
 
 
@@ -343,6 +344,29 @@ async def test_whenever_the_owner_goes_away_no_drive_is_left_with_power_and_with
 
 
 @virtual_time
+async def test_of_two_drives_on_one_node_each_is_halted_though_the_other_refuses() -> None:
+    async with gateway(allow="motion", makers=[two_axes]) as (host, service):
+        arm = chain_of(service.master, *SHOULDER)
+        (node,) = drives(host)
+        for index in (0x6040, 0x6041, 0x6840, 0x6841):
+            node.answer(index, 0, Answer(delay=5 * MILLISECOND))
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            owner.lease.enable(session, owner.next(), "arm")
+            while any(state_of(value(node, key)) is not State.OPERATION_ENABLED for key in (0x6041_00, 0x6841_00)):
+                owner.lease.renew(session, owner.next())
+                await trio.sleep(0.001)
+            assert arm.state is ChainState.OFF
+            node.answer(0x6040, 0, Answer(abort=AbortCode.GENERAL_ERROR))
+            owner.lease.leave(session)
+            await trio.sleep(8)
+            assert value(node, 0x6840_00) & 0x100
+            assert owner.lease.problem.startswith("the lease is over; node 3 on")
+        node.answer(0x6040, 0, Answer())
+
+
+@virtual_time
 async def test_a_motion_that_fails_is_told_and_ends_nothing_else() -> None:
     async with machine() as (_, service, arm):
         with service.open_session("hand") as session:
@@ -402,6 +426,28 @@ async def test_somebodys_halt_holds_though_the_owner_goes_on_sending() -> None:
             owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
             await owner.hold(0.2)
             assert is_moving(host)
+
+
+@virtual_time
+async def test_power_that_was_only_asked_for_ends_nobodys_halt() -> None:
+    """A halted chain has power still: who ends `enable` at once has not looked whether it may move again."""
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            await service.halt()
+            await trio.sleep(1)
+            service.lease.take(session)
+            owner.number = 0
+            owner.lease.enable(session, owner.next(), "arm")
+            owner.lease.stop(session, owner.next())
+            await owner.hold(0.3)
+            assert owner.lease.doing == ""
+            with pytest.raises(LeaseError, match="was halted"):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            await owner.hold(0.5)
+            assert not is_moving(host)
+            assert_all_halted(host)
 
 
 async def sends(session: GatewaySession, command: NmtCommand, node_id: int) -> bool:
@@ -466,6 +512,45 @@ async def test_a_drive_with_power_takes_nmt_commands_from_the_owner_of_the_lease
 
 
 @virtual_time
+async def test_nobody_elses_node_guarding_stops_a_chain() -> None:
+    """Its joints send heartbeats, so they do not answer it, and would count as lost."""
+    async with machine("motion,nmt") as (host, service, arm):
+        await service.master.node(3).write_bytes(0x1017, 0, b"\x64\0")
+        with service.open_session("hand") as session, service.open_session("other") as other:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            answer = await TextClient(other).say("[1] 3 enable guarding 10 1")
+            await owner.hold(0.25)
+            assert is_moving(host)
+            assert answer.startswith("[1] ERROR:102 #node guarding of node 3 on")
+
+
+@virtual_time
+async def test_no_client_ends_the_node_guarding_that_this_master_does_for_itself() -> None:
+    async with machine("nmt") as (_, service, _):
+        guarding = service.master.node(4).remote.guarding
+        service.master.node(4).start_guarding(0.1)
+        with service.open_session("other") as other:
+            client = TextClient(other)
+            for line in ("4 disable guarding", "4 enable guarding 60000 255"):
+                assert (await client.say(f"[1] {line}")).startswith("[1] ERROR:102 #node guarding of node 4 on")
+        assert guarding.guard_time == 100 * MILLISECOND
+
+
+@virtual_time
+async def test_node_guarding_ends_with_the_last_client_that_wants_it() -> None:
+    async with machine("nmt") as (_, service, _):
+        guarding = service.master.node(4).remote.guarding
+        with service.open_session("one") as one:
+            with service.open_session("other") as other:
+                for session in (one, other):
+                    session.guard_node(service.nets[0], 4, 0.1, 3)
+            assert guarding.guard_time
+        assert not guarding.guard_time
+
+
+@virtual_time
 async def test_the_owner_of_the_lease_may_reset_a_drive_with_power() -> None:
     async with machine("motion,nmt") as (_, service, arm):
         with service.open_session("hand") as one:
@@ -512,6 +597,20 @@ async def test_a_drive_to_which_another_program_has_given_power_is_asked(node_id
                 drives(host)[0].answer(0x6041, 0, Answer())
             assert [each.abort_code for each in failed.take() if each.node_id == 3] == [AbortCode.TIMED_OUT] * lost
             assert await sends(other, NmtCommand.RESET_NODE, 4)
+
+
+@virtual_time
+async def test_each_axis_that_a_node_may_have_is_asked_for_its_power() -> None:
+    """This gateway knows from the node's dictionary that it has two, and uses neither."""
+    async with gateway(allow="nmt", makers=[two_axes]) as (host, service), open_master(await open_transport(BUS)) as program:
+        service.master.node(3, TWO)
+        for word in (0x80, 0x6, 0x7, 0xF):
+            await program.node(3, TWO).write((0x6840, 0), word)
+            await trio.sleep(0.6)
+        (node,) = drives(host)
+        assert state_of(value(node, 0x6841_00)) is State.OPERATION_ENABLED
+        with service.open_session("other") as other:
+            assert not await sends(other, NmtCommand.RESET_NODE, 3)
 
 
 # ---- drives that nobody here has given power ----
