@@ -56,6 +56,27 @@ def test_a_queue_holds_the_newest_events_in_order_and_counts_those_that_it_lost(
     run(main)
 
 
+def test_whoever_was_unwatched_by_what_an_event_caused_never_is_told_this_event() -> None:
+    async def main() -> None:
+        async with await open_transport("virtual:dispatch") as transport:
+            bus, dispatcher = Bus("bus", transport, Network()), Dispatcher()
+            told: list[Event] = []
+
+            def end(event: Event) -> None:
+                dispatcher.unwatch(first)
+                dispatcher.unwatch(second)
+
+            first = dispatcher.watch((NodeBooted,), end)
+            second = dispatcher.watch((NodeBooted,), told.append)
+            third: list[Event] = []
+            dispatcher.watch((Event,), third.append)
+            events = [NodeBooted(1, 0), NodeBooted(2, 0)]
+            dispatcher.dispatch(bus, events)
+            assert (told, third) == ([], events)
+
+    run(main)
+
+
 def test_a_network_is_quiet_while_nobody_asks_for_pdos_and_heartbeats() -> None:
     async def main() -> None:
         async with open_master("virtual:quiet") as master:
