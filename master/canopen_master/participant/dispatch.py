@@ -187,8 +187,8 @@ class Dispatcher:
                 except Exception as error:  # noqa: BLE001 - raised below, when all have been told
                     failure = failure or error
             for watcher in watchers:
-                is_meant = watcher.bus is None or watcher.bus is bus
-                if is_meant and (not watcher.node_id or watcher.node_id == event.node_id) and watcher.is_on:
+                is_meant = not watcher.node_id or watcher.node_id == event.node_id
+                if (watcher.bus is None or watcher.bus is bus) and is_meant and watcher.is_on:
                     try:
                         watcher.callback(event)
                     except Exception as error:  # noqa: BLE001 - raised below, when all have been told
