@@ -8,9 +8,10 @@ The driver loop, the only one there is:
     5. wait for a frame, a command, or `network.next_deadline()`
 
 `drain` also feeds the events to running procedures (`run`), whose next requests then leave in the same turn. A boot-up in a burst
-is handled behind such a feed, as if each frame had been drained by itself: a procedure that goes on by an answer from before has
-its next request open then, and learns of the boot. A driver never empties the outbox itself. A driver of several networks with
-one Runner must drain all of them, repeatedly, until nothing comes out: a procedure fed by one may have changed another.
+is handled behind a feed of the answers before it, as if each frame had been drained by itself: a procedure that goes on by such
+an answer has its next request open then, and learns of the boot. A driver never empties the outbox itself. A driver of several
+networks with one Runner must drain all of them, repeatedly, until nothing comes out: a procedure fed by one may have changed
+another.
 
 A bus does not hand our own frames back to us. So a Network tells every attached `RemoteNode` of a SYNC that we sent (or heard),
 which releases its synchronous PDOs, and of an NMT command that we sent, which changes the state that we expect of it.
@@ -140,8 +141,7 @@ class Network:
             self._before_boot(key, now)
         if self._rerouted:
             self._members.refresh()
-        if timestamp is not None:
-            root.timestamp = timestamp
+        root.timestamp = timestamp  # also None: after a bug, that of the frame that caused it may stand there
         # Whoever is told of what was reported may ask for what comes behind it
         root.quiet = self.quiet and not events and self._nobody_waits()
         machine = self._lone[key] if key < SLOTS else None
@@ -235,9 +235,13 @@ class Network:
         return not (self._tasks and self.runner.waits_for_the_usual)
 
     def _before_boot(self, key: RoutingKey, now: Time) -> None:
-        """Feed what was reported before a boot-up, so that no procedure goes on by it behind the boot."""
+        """Feed the answers from before a boot-up, so that no procedure goes on by them behind it. Whoever waits for anything else
+        is told behind the boot, as it is in the same burst."""
         if key & ~MAX_NODE_ID == ERROR_CONTROL:
-            self._feed(now)
+            end = len(self._told)
+            while end > self._fed and not isinstance(self._told[end - 1], Outcome):
+                end -= 1
+            self._feed(now, end)
 
     @property
     def last_heard(self) -> Time | None:
@@ -334,10 +338,10 @@ class Network:
         frames.clear()
         return to_send, to_deliver
 
-    def _feed(self, now: Time) -> None:
-        """Feed the events to the running procedures, and also the events that these cause."""
+    def _feed(self, now: Time, end: int = NEVER) -> None:
+        """Feed the events to the running procedures, and also the events that these cause; those before place `end` only."""
         events, root, observe = self.out.events, self.out.root, self.runner.observe
-        while self._tasks and self._fed < len(events):
+        while self._tasks and self._fed < min(len(events), end):
             self._fed += 1
             observe(root, events[self._fed - 1], now)
             if len(events) > self._settled:

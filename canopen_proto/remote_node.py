@@ -84,7 +84,6 @@ class RemoteNode(Group):
         "_listeners",
         "_mpdo_listener",
         "_mpdo_rpdos",
-        "_read_pdos",
         "_sync_listeners",
         "_wanted",
         "_writes",
@@ -101,6 +100,7 @@ class RemoteNode(Group):
         "nmt_state",
         "node_id",
         "pdo_writes",
+        "read_pdos",
         "rpdos",
         "sdo",
         "sdo_channels",
@@ -138,7 +138,7 @@ class RemoteNode(Group):
         self.rpdos: dict[int, PdoProducer] = {}
         self.tpdos: dict[int, PdoConsumer] = {}
         self.unread_pdos: set[tuple[Direction, int]] = set()
-        self._read_pdos: set[tuple[Direction, int]] = set()
+        self.read_pdos: set[tuple[Direction, int]] = set()  # those that are exchanged as the device had them
         self.pdo_writes = 0  # how often we have written a CAN-ID or a mapping: what was read meanwhile may be half old, half new
         self.set_up: dict[tuple[Direction, int], int] = {}  # the same of each PDO, since the node booted
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
@@ -329,7 +329,7 @@ class RemoteNode(Group):
         consumer.set_enabled(True, now)  # a TPDO that comes shows that the node is Operational, whoever started it
         self.tpdos[number] = consumer
         if is_read:
-            self._read_pdos.add((Direction.TPDO, number))
+            self.read_pdos.add((Direction.TPDO, number))
         self._members.attach(consumer)
         self._reroute()
         return consumer
@@ -348,7 +348,7 @@ class RemoteNode(Group):
             producer.sent_at = before.sent_at  # the device may still hold the data of the one before
         self.rpdos[number] = producer
         if is_read:
-            self._read_pdos.add((Direction.RPDO, number))
+            self.read_pdos.add((Direction.RPDO, number))
         self._members.attach(producer)
         self.foreign_writes.renew()
         return producer
@@ -366,7 +366,7 @@ class RemoteNode(Group):
         """Stop exchanging this PDO or MPDO; does nothing if it is not exchanged. direction: as the device sees it. number:
         1..512."""
         self.unread_pdos.discard((direction, number))
-        self._read_pdos.discard((direction, number))
+        self.read_pdos.discard((direction, number))
         machine = (self.tpdos if direction is Direction.TPDO else self.rpdos).pop(number, None)
         if machine is not None:
             self._members.detach(machine)
@@ -531,7 +531,7 @@ class RemoteNode(Group):
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
         for where in self.set_up:
-            if where in self._read_pdos:
+            if where in self.read_pdos:
                 self._make_unread(where, now)
         self.set_up.clear()
         self.assume_boot()
@@ -626,7 +626,7 @@ class RemoteNode(Group):
         self.pdo_writes += 1
         where = (place.direction, place.number)
         self.set_up[where] = self.set_up.get(where, 0) + 1
-        if where not in self._read_pdos:
+        if where not in self.read_pdos:
             return
         key = (self.rpdos if place.direction is Direction.RPDO else self.tpdos)[place.number].key
         if not place.is_mapping and isinstance(value, int) and key_of_cob_id(value) == key:

@@ -200,7 +200,7 @@ DATA_MUTANTS: Final = tuple(
         (
             "mapped_as_before_the_reset",
             "remote_node.py",
-            "            if where in self._read_pdos:\n",
+            "            if where in self.read_pdos:\n",
             "            if False:\n",
             "a set-point lands in another object, since a reset has undone the mapping of its RPDO",
             REWRITTEN,

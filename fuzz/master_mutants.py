@@ -7,7 +7,7 @@ from typing import Final
 from fuzz.mutant import Mutant
 
 EVENTS: Final = ("tests/master/test_events.py",)
-BUSES: Final = ("tests/master/test_several_buses.py",)
+DISPATCH: Final = ("tests/master/test_dispatch.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
 PUMP_TIME: Final = ("tests/master/test_pump_time.py",)
@@ -161,7 +161,7 @@ MASTER_MUTANTS: Final = tuple(
             " and (watcher.bus is None or watcher.bus is bus):\n                number",
             ":\n                number",
             "a node hears what its namesake on another bus has sent",
-            BUSES,
+            DISPATCH,
         ),
         (
             "keeper_forgets_the_others",

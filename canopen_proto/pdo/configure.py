@@ -123,6 +123,7 @@ class PdoNode(ObjectAccess, Protocol):
     pdo_writes: int
     rpdos: dict[int, PdoProducer]
     set_up: dict[tuple[Direction, int], int]
+    read_pdos: set[tuple[Direction, int]]
     unread_pdos: set[tuple[Direction, int]]
 
     def add_pdo(self, description: PdoDescription, now: Time, *, number: int | None = None, transmission_type: int = 1) -> object:
@@ -316,14 +317,15 @@ def define_pdo(
 
 
 def use_device_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[Mapping | None]:
-    """Exchange a PDO with the device's own settings; return its mapping, or None if the PDO is not valid or carries nothing.
-    direction: as the device sees it. number: 1..512.
+    """Exchange a PDO with the device's own settings; return its mapping, or None if the PDO is not valid or carries nothing: it
+    is exchanged no more then. direction: as the device sees it. number: 1..512.
 
     Raises SdoTransferError; InvalidPdoError if its settings are impossible, or if the node's dictionary lacks an object that it
     maps.
     """
     settings = yield from read_pdo(node, direction, number)
     if not settings.is_valid or not settings.entries:
+        _leave(node, settings.place)
         return None
     mapping = _mapping_of(node, settings)
     yield from _exchange(node, settings, mapping, sends_at_sync=False)
@@ -349,6 +351,8 @@ def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
             if failed.abort_code not in ABSENT:
                 raise
         except InvalidPdoError:
+            if (direction, number) not in node.unread_pdos:
+                _leave(node, (direction, number))
             continue  # an MPDO, or impossible settings: there is no mapping to use
         if present is not None and direction is Direction.RPDO:
             present = yield from _read_its_values(node, present)
@@ -358,9 +362,15 @@ def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
         if present is not None:
             mapping = _mapping_of(node, present, lacks_objects=True)
             yield from _exchange(node, present, mapping, sends_at_sync=True)
-        elif (direction, number) in node.unread_pdos:
-            node.remove_pdo(direction, number)
+        else:
+            _leave(node, (direction, number))
     return tuple(differences)
+
+
+def _leave(node: PdoNode, place: tuple[Direction, int]) -> None:
+    """Exchange a PDO no more that the device had once and has no more. One that its user has described stays."""
+    if place in node.read_pdos or place in node.unread_pdos:
+        node.remove_pdo(*place)
 
 
 def renew_tpdos(node: PdoNode) -> Procedure[None]:

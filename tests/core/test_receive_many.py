@@ -225,6 +225,20 @@ def test_after_a_bug_a_network_is_as_loud_as_before() -> None:
     assert kinds_told(network, 1) == ["PdoReceived"]
 
 
+def test_after_a_bug_no_event_has_the_time_stamp_of_the_frame_that_caused_it() -> None:
+    network, _ = watched_node()
+    broken = Broken(network.out)
+    network.attach(broken)
+    with pytest.raises(LocalProtocolError):
+        network.receive(Frame(TPDO, bytes(8)), 0, 77)
+    network.detach(broken)
+    network.drain(0)
+    network.receive(Frame(TPDO, bytes(8)), 1)
+    (told,) = network.drain(1)[1]
+    assert isinstance(told, PdoReceived)
+    assert told.timestamp is None
+
+
 def test_after_a_bug_the_frames_behind_it_are_left() -> None:
     network = Network()
     network.attach(Broken(network.out))
@@ -396,9 +410,11 @@ def test_whatever_was_dropped_meanwhile_a_procedure_gets_each_event_once_that_is
 
     network.run(counting(), 0)
     many = MAX_UNDRAINED_EVENTS
-    network.receive_many(iter([emergency] * 10 + [(Frame(HEARTBEAT, b"\x00"), None)]), 0)
-    assert len(counted) == 10
+    node.read(LOW, 0)
+    answer = (Frame.parse("58C#4301200001000000"), None)
+    network.receive_many(iter([*[emergency] * 9, answer, emergency, (Frame(HEARTBEAT, b"\x00"), None)]), 0)
+    assert len(counted) == 9
     network.receive_many(iter([emergency] * many), 0)
     dropped = next(event.count for event in network.drain(0)[1] if isinstance(event, EventsDropped))
-    assert dropped > 12  # those that were fed, and the two events of the boot, among them
-    assert len({id(event) for event in counted}) == len(counted) == many + 10 - (dropped - 12)
+    assert dropped > 11  # the nine that were fed, and the two events of the boot, among them
+    assert len({id(event) for event in counted}) == len(counted) == many + 10 - (dropped - 11)

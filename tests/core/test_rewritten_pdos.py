@@ -7,6 +7,7 @@ The oracle: each object of the device has one value for ever, and no two have a 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import COB_ID_INVALID, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
+from canopen_proto.multiplexer import Mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoRefusedError, configure_pdo, exchange_device_pdos, use_device_pdo
@@ -339,6 +341,39 @@ def test_whoever_sets_up_a_pdo_beside_another_never_are_both_told_that_it_is_don
     network.run(exchange_device_pdos(remote), bus.now)
     bus.run(SECOND)
     world.look()
+
+
+@pytest.mark.parametrize("all_of_them", [False, True])
+@pytest.mark.parametrize("direction", Direction)
+def test_a_pdo_that_somebody_else_has_destroyed_is_not_exchanged_once_it_was_read_again(
+    direction: Direction, all_of_them: bool
+) -> None:
+    """Or a controlword would go into an RPDO that the device does not have any more."""
+    world = World(0.0)
+    remote, network, bus = world.remote, world.master, world.bus
+    described = Mapping.from_parameters([entries_of(direction)[1]], remote.dictionary)
+    add = remote.add_rpdo if direction is Direction.RPDO else partial(remote.add_tpdo, now=0)
+    add(2, CAN_IDS[direction, 2][0], described)
+    network.run(use_device_pdo(remote, direction, 1), bus.now)
+    bus.run(SECOND)
+    exchanged: dict[int, Any] = remote.rpdos if direction is Direction.RPDO else remote.tpdos
+    assert set(exchanged) == {1, 2}
+    record = 0x1400 if direction is Direction.RPDO else 0x1800
+    for number in (1, 2):
+        world.device.set_value(record + number - 1, 1, CAN_IDS[direction, number][0] | COB_ID_INVALID, bus.now)
+    again: Any = exchange_device_pdos(remote) if all_of_them else use_device_pdo(remote, direction, 1)
+    network.run(again, bus.now)
+    bus.run(SECOND)
+    assert set(exchanged) == {2}  # which its user has described
+
+
+def test_a_pdo_that_has_become_an_mpdo_is_not_exchanged_by_its_old_mapping() -> None:
+    world = World(0.0)
+    for count, exchanged in ((1, {1, 2}), (254, {2})):
+        world.device.values.store[Mux(0x1A00_00)] = count
+        world.master.run(exchange_device_pdos(world.remote), world.bus.now)
+        world.bus.run(SECOND)
+        assert set(world.remote.tpdos) == exchanged
 
 
 def of_eight_objects() -> ObjectDictionary:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from itertools import groupby
 from typing import Any
 
 import pytest
@@ -25,7 +26,7 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import SECOND
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_transports import open_transport
+from canopen_transports import ReceiveOverrun, open_transport
 from canopen_transports.candump_text import read_candump
 from tests.builds import replaces_what_is_compiled
 from tests.gateway.gateway_world import gateway
@@ -247,6 +248,64 @@ async def test_a_trace_is_copied_in_slices_while_the_traffic_goes_on(monkeypatch
         assert (gaps + len(losses) > 0) == (trace.lost > 0)
         assert not trace.lost or each_turn >= 50  # two turns of the others may come between two slices
         assert trace.lost or each_turn <= 101
+
+
+IN_SEGMENTS = (
+    "603#4008100000000000", "583#4108100015000000",
+    "603#6000000000000000", "583#0041414141414141",
+    "603#7000000000000000", "583#1042424242424242",
+    "603#6000000000000000", "583#0143434343434343",
+)  # fmt: skip
+
+
+@virtual_time
+async def test_wherever_in_a_burst_frames_are_lost_never_is_a_device_named_for_them() -> None:
+    """The receiver says where. The toggle bit of the next segment is that of the last one that was heard."""
+    async with gateway() as (_, service):
+        traffic, bus = service.traffic(BUS), service.master.bus(BUS)
+        told: list[tuple[str, int]] = []
+        end = bus.listen(
+            lambda frame, now, stamp, is_sent: told.append((str(frame), 0)), lambda lost, seen: told.append((seen, lost))
+        )
+        burst = [(Frame.parse(each), None) for each in IN_SEGMENTS]
+        bus.take_in(iter([*burst[:4], ReceiveOverrun("x", 2, "too slow"), *burst[6:]]), service.master.now())
+        service.master.pump.pump()
+        end()
+        assert told == [*((each, 0) for each in IN_SEGMENTS[:4]), ("too slow", 2), *((each, 0) for each in IN_SEGMENTS[6:])]
+        await trio.sleep(2 * LOOK)
+        assert [(each.node_id, each.text) for each in traffic.findings] == [(0, "missing: frames are missing here: too slow")]
+        assert (traffic.lost, list(traffic.losses)) == (2, [(4, 2)])
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 20), st.integers(1, 5)), max_size=5),
+    st.integers(1, 20),
+    st.integers(1, 8),
+    st.integers(0, 25),
+)
+@virtual_time
+async def test_a_trace_says_where_its_receiver_has_lost_frames(
+    losses: list[tuple[int, int]], capacity: int, size: int, frames: int
+) -> None:
+    async with gateway() as (_, service):
+        traffic, bus = NetTraffic(service.master, BUS, capacity=capacity), service.master.bus(BUS)
+        items: list[Any] = [(Frame(0x123, bytes((number,))), None) for number in range(20)]
+        expected: list[Any] = list(range(20))
+        for place, lost in sorted(losses, reverse=True):
+            items.insert(place, ReceiveOverrun("x", lost, "too slow"))
+            expected.insert(place, None)
+        bus.take_in(iter(items), service.master.now())
+        first = 20 - min(capacity, frames or 20, 20)
+        expected = expected[expected.index(first) :]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trace_module, "SLICE", size)
+            trace = await TrafficTrace.take("x", {BUS: traffic}, frames=frames)
+        lines = b"".join(trace.chunks()).decode().splitlines()
+        traffic.close()
+        seen: list[Any] = []  # both in their order
+        seen.extend(each.frame.data[0] for each in read_candump(lines, lambda reason, is_overrun=False: seen.append(None)))
+        assert seen == [each for each, _ in groupby(expected)]
+        assert trace.lost == sum(lost for place, lost in losses if place > first)
 
 
 def test_names_that_files_and_logs_can_have() -> None:

@@ -19,7 +19,7 @@ from canopen_proto.manager.parameters.restore import (
     VerifyMismatchError,
     restore,
 )
-from canopen_proto.nmt import NmtState
+from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from tests.core.bus import CAN_FATES, Fate
 from tests.core.devices import LIMITED, TEXT
@@ -361,3 +361,26 @@ def test_an_answer_that_comes_twice_confirms_no_write_that_the_device_refuses(co
     outcome = judge({0x1600_00: 2}, [*[Fate.DELIVERED] * copied, Fate.COPIED, Fate.COPIED], False, 0)
     assert isinstance(outcome, ProcedureFailed)
     assert "refused writing 0x1600:00: abort 0x06020000" in str(outcome.error)
+
+
+SETTINGS = {key: CHANGES[key] for key in (LIMITED << 8, TEXT << 8, GAIN << 8, 0x2100_02)}
+
+
+@pytest.mark.parametrize("store", [False, True])
+@pytest.mark.parametrize("write", range(1, len(SETTINGS)))
+def test_whatever_resets_a_device_in_the_middle_never_is_it_called_restored(write: int, store: bool) -> None:
+    """The answer to a write and the boot-up reach a master together that was stalled. The reset has undone what was written."""
+    bench = Bench()
+    plan = bench.plan(SETTINGS)
+    bench.start(restore(bench.remote, bench.nmt, plan, store=store))
+    bench.bus.run_until(lambda: len(bench.device.writes) == write)
+    bench.device.execute(NmtCommand.RESET_NODE, bench.bus.now)
+    frames, _ = bench.network.drain(bench.bus.now)
+    waiting = [frame for _, _, receiver, frame in sorted(bench.bus._on_the_way) if receiver is bench.master.out]
+    bench.bus._on_the_way.clear()
+    bench.master.receive_many(iter([(frame, None) for frame in (*waiting, *frames)]), bench.bus.now)
+    outcome = bench.outcome()
+    assert isinstance(outcome, ProcedureFailed)
+    assert f"ended after {write} of {len(SETTINGS)} writes" in str(outcome.error)
+    assert 0x1010 not in [index for index, _, _ in bench.device.writes]
+    assert bench.device.state is NmtState.PRE_OPERATIONAL

@@ -56,6 +56,48 @@ def test_a_queue_holds_the_newest_events_in_order_and_counts_those_that_it_lost(
     run(main)
 
 
+@given(st.lists(st.tuples(st.integers(0, 1), events), max_size=9), st.integers(0, 1), st.integers(0, 3))
+def test_whoever_watches_one_bus_never_is_told_what_its_namesake_on_another_one_sends(
+    told: list[tuple[int, Event]], watched_bus: int, node_id: int
+) -> None:
+    async def main() -> None:
+        async with await open_transport("virtual:one") as one, await open_transport("virtual:two") as two:
+            buses = Bus("one", one, Network()), Bus("two", two, Network())
+            dispatcher = Dispatcher()
+            called: list[Event] = []
+            queue: Subscription[Any] = Subscription(lambda _: None)
+            dispatcher.watch((Event,), called.append, buses[watched_bus], node_id)
+            dispatcher.watch((NodeBooted,), queue.put, buses[watched_bus], node_id, queue.put_all)
+            for number, event in told:
+                dispatcher.dispatch(buses[number], [event])
+            meant = [event for number, event in told if number == watched_bus and node_id in (0, event.node_id)]
+            assert called == meant
+            assert queue.take() == [event for event in meant if isinstance(event, NodeBooted)]
+
+    run(main)
+
+
+def test_whoever_was_unwatched_by_what_an_event_caused_never_is_told_this_event() -> None:
+    async def main() -> None:
+        async with await open_transport("virtual:dispatch") as transport:
+            bus, dispatcher = Bus("bus", transport, Network()), Dispatcher()
+            told: list[Event] = []
+
+            def end(event: Event) -> None:
+                dispatcher.unwatch(first)
+                dispatcher.unwatch(second)
+
+            first = dispatcher.watch((NodeBooted,), end)
+            second = dispatcher.watch((NodeBooted,), told.append)
+            third: list[Event] = []
+            dispatcher.watch((Event,), third.append)
+            events = [NodeBooted(1, 0), NodeBooted(2, 0)]
+            dispatcher.dispatch(bus, events)
+            assert (told, third) == ([], events)
+
+    run(main)
+
+
 def test_a_network_is_quiet_while_nobody_asks_for_pdos_and_heartbeats() -> None:
     async def main() -> None:
         async with open_master("virtual:quiet") as master:

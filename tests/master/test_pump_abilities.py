@@ -264,6 +264,43 @@ async def test_a_listener_is_told_each_frame_and_nothing_is_filtered_meanwhile()
 
 
 @virtual_time
+async def test_whatever_ends_a_bus_never_does_a_listener_miss_what_came_before() -> None:
+    """They came while a frame was being sent, which the transport then could not do."""
+
+    class Dying(Able):
+        async def send(self, frame: Frame) -> None:
+            self.feed(Frame.parse("083#1023010000000000"))
+            await loop.sleep(0.01)
+            raise loop.ClosedResourceError
+
+    bus, told = Dying(sends_sync=False), list[str]()
+    with pytest.raises(BusError, match="cannot send"):
+        async with open_master(bus) as master:
+            master.bus("able").listen(lambda frame, now, stamp, is_sent: told.append(str(frame)))
+            await master.send_sync()
+    assert told == ["083#1023010000000000"]
+
+
+@virtual_time
+async def test_whoever_listens_never_is_told_what_came_before_it_listened() -> None:
+    class Slow(Able):
+        async def send(self, frame: Frame) -> None:
+            self.feed(Frame.parse("083#1023010000000000"))
+            await loop.sleep(0.01)
+            await super().send(frame)
+
+    bus, first, second = Slow(sends_sync=False), list[str](), list[str]()
+    async with open_master(bus) as master, loop.open_nursery() as nursery:
+        end = master.bus("able").listen(lambda frame, now, stamp, is_sent: first.append(str(frame)))
+        nursery.start_soon(master.send_sync)
+        await loop.sleep(0.005)
+        end()
+        master.bus("able").listen(lambda frame, now, stamp, is_sent: second.append(str(frame)))
+        await loop.sleep(0.1)
+        assert (first, second) == ([], ["080#"])  # it was on its way by then
+
+
+@virtual_time
 async def test_a_listener_is_told_the_request_first_though_the_answer_comes_before_it_is_handed_over() -> None:
     """A simulated device of the same process answers while our frame is being sent."""
     told: list[tuple[str, bool]] = []

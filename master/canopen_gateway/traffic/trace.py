@@ -2,7 +2,7 @@
 
 They are copied when it is asked for, and made into text while it is sent: so a client that takes it slowly gets what it asked
 for, and holds up that copy alone. Both go in slices, and others have their turn between two of them. A frame that the ring gave
-up before its slice came is missing: a line says so where it was, as a controller that lost frames does. `canopen log decode`,
+up before its slice came is missing, and so is one that the receiver has lost: a line says so where it was. `canopen log decode`,
 `canopen monitor` and can-utils read it.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 import math
 import re
+from collections import deque
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from itertools import islice
@@ -67,13 +68,16 @@ class TrafficTrace:
         return trace
 
     async def _copy(self, part: _BusFrames, traffic: NetTraffic, first: int, end: int) -> None:
-        """Copy frames of a ring, the oldest first: they are the next to go."""
+        """Copy frames of a ring, the oldest first: they are the next to go. A slice ends where the receiver has lost frames."""
         self._parts.append(part)
         ring = traffic.ring
-        while first < end:
+        losses = deque(each for each in traffic.losses if first < each[0] <= end)
+        while first < end or losses:
             lost = min(end, max(first, ring.first)) - first
             first += lost
-            slice_end = min(first + SLICE, end)
+            while losses and losses[0][0] <= first:
+                lost += losses.popleft()[1]
+            slice_end = min(first + SLICE, end, *(number for number, _ in list(losses)[:1]))
             part.slices.append((lost, ring.copy(first, slice_end)))
             self.lost += lost
             self.frames += slice_end - first

@@ -23,7 +23,7 @@ import trio
 from canopen_gateway.traffic.feed import FeedRow, FrameWish, TrafficFeed, finding_row
 from canopen_gateway.traffic.pdos import exchanged_pdos, nodes_of
 from canopen_gateway.traffic.ring import CAPACITY, FrameRing, PassedFrame
-from canopen_master import FramesLost, Master
+from canopen_master import Master
 from canopen_master.pdo_reading import PdoRead
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.explained import counted
@@ -48,6 +48,8 @@ MOST_KEYS: Final = 4096
 """CAN-IDs whose frames are counted each for itself: more than all with 11 bits."""
 MOST_FINDINGS: Final = 40
 """The last findings that are kept, for those who look later."""
+MOST_LOSSES: Final = 1000
+"""The last places where frames were lost that are kept, for a trace."""
 LOGGER: Final = logging.getLogger("canopen_gateway")
 
 
@@ -71,9 +73,9 @@ class ReadPdos(NamedTuple):
 
 class NetTraffic:
     """See this module's text. ring: the last frames; their times are on the master's clock. zero: ns from that clock to the time
-    since 1970. lost: frames that were lost before they came here, by the receiver's word. dropped: those that were not looked at
-    in time. found: findings so far, by rule. findings: the last ones. failure: why nothing is understood any more, or None.
-    pdos_read: by node-ID."""
+    since 1970. lost: frames that were lost before they came here, by the receiver's word; losses: before which frame of the ring,
+    and how many. dropped: those that were not looked at in time. found: findings so far, by rule. findings: the last ones.
+    failure: why nothing is understood any more, or None. pdos_read: by node-ID."""
 
     def __init__(self, master: Master, net: str, *, capacity: int = CAPACITY) -> None:
         """master: an open one. capacity: of the ring, frames."""
@@ -93,17 +95,16 @@ class NetTraffic:
         self._view = BusView(bitrate=bus.bitrate or 0)
         self._next = 0
         self._gaps: deque[tuple[int, str]] = deque(maxlen=MOST_FINDINGS)
+        self.losses: deque[tuple[int, int]] = deque(maxlen=MOST_LOSSES)
         self._feeds: list[TrafficFeed] = []
         self._rates = _KeyRates()
         self._learnt: dict[tuple[int, Direction, int], PdoSettings] = {}
         self._learn_at = 0.0
-        self._end_listening = bus.listen(self._hear)
-        self._watcher = master.watch((FramesLost,), self._hear_loss, bus)
+        self._end_listening = bus.listen(self._hear, self._hear_loss)
 
     def close(self) -> None:
         """Listen no longer."""
         self._end_listening()
-        self._master.unwatch(self._watcher)
 
     @contextmanager
     def watch(self, wish: FrameWish) -> Iterator[TrafficFeed]:
@@ -162,9 +163,10 @@ class NetTraffic:
     def _hear(self, frame: Frame, now: Time, stamp: int | None, is_sent: bool) -> None:
         self.ring.add(self._clock.time_of(stamp, now), frame, is_sent)
 
-    def _hear_loss(self, event: FramesLost) -> None:
-        self.lost += event.lost
-        self._gaps.append((self.ring.count, event.reason))
+    def _hear_loss(self, lost: int, reason: str) -> None:
+        self.lost += lost
+        self.losses.append((self.ring.count, lost))
+        self._gaps.append((self.ring.count, reason))
 
     # ---- later ----
 

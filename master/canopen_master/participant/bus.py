@@ -14,8 +14,8 @@ and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, 
 **Filters.** A transport that filters (`filtered`) gets the CAN-IDs that our machines want, and gets them again when they change.
 The Network then knows that it does not hear everything.
 
-**Listeners** (`Bus.listen`) are told each frame that passes, in its order: for a recording, or a display. While there is one, the
-transport leaves out no frame.
+**Listeners** (`Bus.listen`) are told each frame that passes, and where frames were lost, in its order: for a recording, or a
+display. While there is one, the transport leaves out no frame.
 
 **When a bus is away** for a while, and its transport reports that it may come back (BusStateChanged: interface down, bus-off),
 frames that cannot be sent are dropped and counted in `FramesNotSent`. Keeping them would be dangerous: an old set-point, sent
@@ -69,6 +69,12 @@ MAX_HELD: Final = 256
 
 HeardFrame: TypeAlias = Callable[[Frame, Time, "int | None", bool], None]
 """Takes a frame, the participant's time (ns), the transport's own time stamp (ns) if it has one, and whether we have sent it."""
+
+HeardLoss: TypeAlias = Callable[[int, str], None]
+"""Takes how many frames were lost at least, and where, for people."""
+
+_Passed: TypeAlias = tuple[Frame, Time, "int | None", bool] | ReceiveOverrun
+_Listeners: TypeAlias = tuple[tuple[HeardFrame, HeardLoss], ...]
 
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
 _NOT_ASKED: Final = (RoutingKey(-1),)
@@ -163,8 +169,8 @@ class Bus:
         self._loop = current_loop()
         self._work = self._loop.parking_lot()  # the sender waits for frames
         self._sent = self._loop.parking_lot()  # others wait for the sender
-        self._listeners: tuple[HeardFrame, ...] = ()
-        self._held: list[tuple[Frame, Time, int | None, bool]] = []  # what listeners are told behind a frame that is being sent
+        self._listeners: _Listeners = ()
+        self._held: list[tuple[_Passed, _Listeners]] = []  # what listeners are told behind a frame that is being sent
         self._handing = 0  # frames that are being handed over at once: others may come before that has returned
 
     @property
@@ -178,19 +184,21 @@ class Bus:
         if not self._listeners:
             return
         if is_sent:
-            self._held.insert(0, (frame, now, None, True))
+            self._held.insert(0, ((frame, now, None, True), self._listeners))
             self._tell_held()
         else:
-            self._tell_received(frame, now, None)
+            self._tell_received((frame, now, None, False))
 
-    def listen(self, heard: HeardFrame) -> Callable[[], None]:
+    def listen(self, heard: HeardFrame, lost: HeardLoss = lambda count, seen: None) -> Callable[[], None]:
         """Call `heard` with each frame that is received or sent from now on; return what ends that. It must not raise, and must
-        not block: it is called in the turn of the pump. A frame that we send is told once the transport has it."""
-        self._listeners = (*self._listeners, heard)
+        not block: it is called in the turn of the pump. A frame that we send is told once the transport has it. lost: is called
+        in the same way where received frames were lost, between the frames before and behind it; FramesLost comes behind them."""
+        listener = heard, lost
+        self._listeners = (*self._listeners, listener)
         self.renew_filters()
 
         def end() -> None:
-            self._listeners = tuple(each for each in self._listeners if each is not heard)
+            self._listeners = tuple(each for each in self._listeners if each is not listener)
             self.renew_filters()
 
         return end
@@ -236,7 +244,7 @@ class Bus:
         else:
             self._own_bits += FRAME_BITS[len(frame.data)]
             if self._listeners:
-                self._held.insert(place, (frame, now, None, True))
+                self._held.insert(place, ((frame, now, None, True), self._listeners))
             if self._reason:
                 self.settle_not_sent()
         finally:
@@ -290,19 +298,27 @@ class Bus:
         it: an answer must not be told before its request."""
         for item in received:
             if isinstance(item, tuple):
-                self._tell_received(item[0], now, item[1])
+                self._tell_received((item[0], now, item[1], False))
+            elif isinstance(item, ReceiveOverrun):
+                self._tell_received(item)
             yield item
 
-    def _tell_received(self, frame: Frame, now: Time, stamp: int | None) -> None:
-        self._held.append((frame, now, stamp, False))
+    def _tell_received(self, passed: _Passed) -> None:
+        self._held.append((passed, self._listeners))
         if not (self._handing or self._is_sending) or len(self._held) > MAX_HELD:
             self._tell_held()
 
     def _tell_held(self) -> None:
         held, self._held = self._held, []
-        for each in held:
-            for heard in self._listeners:
-                heard(*each)
+        for passed, listeners in held:
+            for listener in listeners:
+                if listener not in self._listeners:
+                    continue  # it has ended
+                heard, lost = listener
+                if isinstance(passed, tuple):
+                    heard(*passed)
+                else:
+                    lost(passed.lost, passed.seen)
 
     def change(self, state: BusState, reason: str) -> None:
         """Handle a change that the transport reports. Events: FramesNotSent, BusChanged. reason: for people."""
@@ -413,6 +429,7 @@ class Bus:
     def fail(self) -> None:
         """Drop what waits: nothing more can be sent."""
         self.failed = True
+        self._tell_held()
         self._first.clear()
         self._sdo.clear()
         self._sent.unpark_all()

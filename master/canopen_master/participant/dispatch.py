@@ -92,9 +92,9 @@ class Waiter:
 
 class Watcher:
     """A callback for events of some kinds, of one bus and one node, or of all (None, 0). queue: takes several in a row at once,
-    and calls nobody; None: each is handed over."""
+    and calls nobody; None: each is handed over. is_on: until `unwatch`."""
 
-    __slots__ = ("bus", "callback", "kinds", "node_id", "queue")
+    __slots__ = ("bus", "callback", "is_on", "kinds", "node_id", "queue")
 
     def __init__(
         self,
@@ -104,6 +104,7 @@ class Watcher:
         callback: Callable[[Any], None],
         queue: Callable[[Sequence[Any]], None] | None = None,
     ) -> None:
+        self.is_on = True
         self.queue = queue
         self.kinds = kinds
         self.bus = bus
@@ -154,7 +155,8 @@ class Dispatcher:
         return watcher
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Stop calling a callback; does nothing if it was stopped before."""
+        """Stop calling a callback, also with the event that is told at present; does nothing if it was stopped before."""
+        watcher.is_on = False
         if watcher in self._watchers:
             self._watchers.remove(watcher)
             self._by_kind.clear()
@@ -185,7 +187,8 @@ class Dispatcher:
                 except Exception as error:  # noqa: BLE001 - raised below, when all have been told
                     failure = failure or error
             for watcher in watchers:
-                if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
+                is_meant = not watcher.node_id or watcher.node_id == event.node_id
+                if (watcher.bus is None or watcher.bus is bus) and is_meant and watcher.is_on:
                     try:
                         watcher.callback(event)
                     except Exception as error:  # noqa: BLE001 - raised below, when all have been told
