@@ -7,6 +7,7 @@ from typing import Final
 from fuzz.mutant import Mutant
 
 EVENTS: Final = ("tests/master/test_events.py",)
+BUSES: Final = ("tests/master/test_several_buses.py",)
 DISPATCH: Final = ("tests/master/test_dispatch.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
@@ -19,8 +20,6 @@ WATCHDOG: Final = ("tests/master/test_watchdog.py",)
 AT_ONCE: Final = ("tests/master/test_stops_at_once.py",)
 PATH_MOTION: Final = ("tests/master/test_path_motion.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
-PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
-
 BACKGROUND: Final = ("tests/master/test_blocking_background.py",)
 BLOCKING: Final = ("tests/master/test_blocking.py",)
 MOVING: Final = ("tests/master/test_moving.py",)
@@ -153,7 +152,7 @@ MASTER_MUTANTS: Final = tuple(
             "(watcher.bus is None or watcher.bus is bus) and ",
             "",
             "a callback hears what the namesake of a node on another bus has sent",
-            BUSES,
+            DISPATCH,
         ),
         (
             "subscription_of_all_buses",
@@ -161,7 +160,7 @@ MASTER_MUTANTS: Final = tuple(
             " and (watcher.bus is None or watcher.bus is bus):\n                number",
             ":\n                number",
             "a node hears what its namesake on another bus has sent",
-            DISPATCH,
+            BUSES,
         ),
         (
             "keeper_forgets_the_others",
