@@ -5,19 +5,19 @@ master's. Only these frames are received here. The last write of each object tha
 and its meaning is worked out only when it is asked for.
 
 RPDOs are listened to on the CAN-IDs of those that we send ourselves, and on the four of the predefined connection set. The
-meaning is known of those that we send; the caller may know others. Left out: writes of more than four bytes, and of an SDO
-channel other than the first.
+meaning is known of those that we send, unless they were set up anew and not read since; the caller may know others. Left out:
+writes of more than four bytes, and of an SDO channel other than the first.
 
 Source: CiA 301 v4.2.0, 7.2.4.3.3 (SDO download initiate), 7.3.3 (predefined connection set).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Set
 from typing import Final, NamedTuple
 
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import RPDO1, RPDO2, RPDO3, RPDO4, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
 from canopen_proto.machine import Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, split_mux
@@ -39,14 +39,22 @@ class ForeignWrite(NamedTuple):
 class ForeignWrites(Machine):
     """Hears the commands of other masters to one node; see this module's text. Hears nothing until `listen`."""
 
-    __slots__ = ("_dictionary", "_node_id", "_pdos", "_rpdos", "_sdo_key", "_wanted", "_written")
+    __slots__ = ("_dictionary", "_node_id", "_pdos", "_rpdos", "_sdo_key", "_unread", "_wanted", "_written")
 
-    def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary, rpdos: Mapping[int, PdoProducer]) -> None:
-        """rpdos: those that we send to the node; call `renew` when they change."""
+    def __init__(
+        self,
+        out: Outbox,
+        node_id: int,
+        dictionary: ObjectDictionary,
+        rpdos: Mapping[int, PdoProducer],
+        unread: Set[tuple[Direction, int]] = frozenset(),
+    ) -> None:
+        """rpdos: those that we send to the node; call `renew` when they change. unread: the PDOs whose mapping is not known."""
         super().__init__(out)
         self._node_id = node_id
         self._dictionary = dictionary
         self._rpdos = rpdos
+        self._unread = unread
         self._sdo_key = RoutingKey(SDO_CLIENT_TO_SERVER + node_id)
         self._wanted: set[Mux] = set()
         self._written: dict[Mux, ForeignWrite] = {}
@@ -62,10 +70,19 @@ class ForeignWrites(Machine):
         if self._wanted:
             self._reroute()
 
+    def forget(self, key: RoutingKey | None) -> None:
+        """Forget the RPDO that was heard with a key: from now on it may have another meaning."""
+        if key is not None:
+            self._pdos.pop(key, None)
+
+    def _ours(self) -> dict[RoutingKey | None, PdoMapping]:
+        unread = self._unread
+        return {each.key: each.mapping for number, each in self._rpdos.items() if (Direction.RPDO, number) not in unread}
+
     @property
     def unknown(self) -> set[RoutingKey]:
-        """The keys of RPDOs that were heard, and that we do not send ourselves."""
-        return self._pdos.keys() - {producer.key for producer in self._rpdos.values()}
+        """The keys of RPDOs that were heard, and that we do not send ourselves, or whose mapping is not known."""
+        return self._pdos.keys() - self._ours().keys()
 
     def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = _NONE) -> ForeignWrite | None:
         """Return the last write of an object; None if there was none. wanted: its mux.
@@ -73,7 +90,7 @@ class ForeignWrites(Machine):
         others: the mappings of RPDOs that we do not send. An RPDO of unknown mapping is left out: any device may send PDOs to it.
         """
         found = self._written.get(wanted)
-        ours = {producer.key: producer.mapping for producer in self._rpdos.values()}
+        ours = self._ours()
         for key, (time, data) in self._pdos.items():
             mapping = ours.get(key) or others.get(key)
             position = None if mapping is None else mapping.position_of(wanted)

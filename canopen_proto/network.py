@@ -137,7 +137,7 @@ class Network:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
         events, root, key = self._told, self._root, frame.key
-        if events and self._tasks and frame.data in _BOOT_UPS:
+        if events and self._tasks and key > ERROR_CONTROL and frame.data in _BOOT_UPS:
             self._before_boot(key, now)
         if self._rerouted:
             self._members.refresh()
@@ -192,7 +192,7 @@ class Network:
                     return item
                 frame: Frame = item[0]
                 key = frame.key
-                if events and self._tasks and frame.data in _BOOT_UPS:
+                if events and self._tasks and key > ERROR_CONTROL and frame.data in _BOOT_UPS:
                     root.timestamp = None
                     self._before_boot(key, now)
                 root.timestamp = item[1]
@@ -237,7 +237,7 @@ class Network:
     def _before_boot(self, key: RoutingKey, now: Time) -> None:
         """Feed the answers from before a boot-up, so that no procedure goes on by them behind it. Whoever waits for anything else
         is told behind the boot, as it is in the same burst."""
-        if key & ~MAX_NODE_ID == ERROR_CONTROL:
+        if key <= ERROR_CONTROL + MAX_NODE_ID:
             end = len(self._told)
             while end > self._fed and not isinstance(self._told[end - 1], Outcome):
                 end -= 1
@@ -383,7 +383,8 @@ class Network:
             if excess > 0 and not isinstance(report, Outcome):
                 excess -= 1
                 self._dropped += 1
-                self._fed -= place < fed
+                if place < fed:
+                    self._fed -= 1
             else:
                 kept.append(report)
         events[:] = kept

@@ -143,7 +143,7 @@ class RemoteNode(Group):
         self.set_up: dict[tuple[Direction, int], int] = {}  # the same of each PDO, since the node booted
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, RoutingKey] = {}  # RPDO number -> key
-        self.foreign_writes = ForeignWrites(self.inner, node_id, dictionary, self.rpdos)
+        self.foreign_writes = ForeignWrites(self.inner, node_id, dictionary, self.rpdos, self.unread_pdos)
         self.commanded: set[Mux] = set()
         self._in_doubt: dict[Mux, set[Value | None]] = defaultdict(set)
         self.held = HeldRpdos()
@@ -341,8 +341,10 @@ class RemoteNode(Group):
         objects; their values are taken from `values`. transmission_type: 1..240 = sent at every n-th SYNC, 254 and 255 = when
         triggered. It replaces the RPDO of this number. is_read: that is how the device has it; see `unread_pdos`."""
         self._check_pdo(Direction.RPDO, number, key)
-        before = self.rpdos.get(number)
+        before, was_unread = self.rpdos.get(number), (Direction.RPDO, number) in self.unread_pdos
         self.remove_pdo(Direction.RPDO, number)
+        if before is not None and (was_unread or before.mapping.entries != mapping.entries):
+            self.foreign_writes.forget(key)
         producer = PdoProducer(self.inner, self.node_id, number, key, mapping, self.values.store, transmission_type)
         if before is not None and (before.key, before.mapping.entries) == (producer.key, mapping.entries):
             producer.sent_at = before.sent_at  # the device may still hold the data of the one before
@@ -638,6 +640,7 @@ class RemoteNode(Group):
         if direction is Direction.RPDO:
             self._wanted.discard(number)
             self.rpdos[number].set_enabled(False, now)
+            self.foreign_writes.forget(self.rpdos[number].key)
         else:
             self.remove_pdo(direction, number)
         self.unread_pdos.add(where)

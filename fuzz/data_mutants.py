@@ -206,6 +206,14 @@ DATA_MUTANTS: Final = tuple(
             REWRITTEN,
         ),
         (
+            "foreign_by_the_old_mapping",
+            "foreign_writes.py",
+            " if (Direction.RPDO, number) not in unread}",
+            "}",
+            "another master is said to have written a controlword that it has not written",
+            REWRITTEN,
+        ),
+        (
             "half_of_one_half_of_another",
             "pdo/configure.py",
             "            if self._counted() != self._writes:",

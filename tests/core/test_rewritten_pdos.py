@@ -367,6 +367,43 @@ def test_a_pdo_that_somebody_else_has_destroyed_is_not_exchanged_once_it_was_rea
     assert set(exchanged) == {2}  # which its user has described
 
 
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_whatever_was_mapped_anew_never_is_another_master_said_to_have_written_what_it_did_not(is_reset: bool) -> None:
+    """Its RPDO is told in words by the mapping that the device had when it came, or not at all."""
+    world = World(0.0)
+    remote, network, bus = world.remote, world.master, world.bus
+    heard, objects = remote.foreign_writes, (Mux(0x3000_00), Mux(0x3001_00))
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    heard.listen(objects)
+
+    def said() -> list[Any]:
+        bus.run(MILLISECOND)
+        return [None if found is None else found.value for found in map(heard.last, objects)]
+
+    bus.send("205#40")
+    assert said() == [0x40, None]
+    for each in by_hand(Direction.RPDO, 1, 0x205, [0x3001_0008]):
+        remote.sdo.download(*each, bus.now)
+    bus.run(SECOND)
+    assert said() == [None, None]
+    bus.send("205#41")
+    assert said() == [None, None]
+    assert heard.unknown == {0x205}
+    if is_reset:
+        network.run(exchange_device_pdos(remote), bus.now)
+        bus.run(SECOND)
+        world.reset()
+        assert said() == [None, None]
+        bus.send("205#40")
+        assert said() == [None, None]
+    network.run(exchange_device_pdos(remote), bus.now)
+    bus.run(SECOND)
+    assert said() == [None, None]  # what came before it was read
+    bus.send("205#42")
+    assert said() == ([0x42, None] if is_reset else [None, 0x42])
+
+
 def test_a_pdo_that_has_become_an_mpdo_is_not_exchanged_by_its_old_mapping() -> None:
     world = World(0.0)
     for count, exchanged in ((1, {1, 2}), (254, {2})):

@@ -460,7 +460,7 @@ def test_a_bit_that_no_object_has_is_refused() -> None:
 
 PROCEDURES = {
     name: member
-    for name, member in vars(drive).items()
+    for name, member in ((name, getattr(drive, name)) for name in dir(drive))  # vars() lacks what nobody has asked for yet
     if inspect.isfunction(member) and next(iter(inspect.signature(member).parameters), "") == "axis"
 }
 OF_ERRORS = {"fault_of", "halt_after"}
@@ -473,6 +473,10 @@ def test_every_procedure_of_a_drive_gives_an_account_of_what_it_is_refused(name:
 
 
 def test_every_error_of_a_drive_is_one_account() -> None:
-    errors = [each for each in vars(drive).values() if isinstance(each, type) and issubclass(each, ProcedureError)]
+    errors = [
+        each
+        for each in (getattr(drive, name) for name in dir(drive))
+        if isinstance(each, type) and issubclass(each, ProcedureError)
+    ]
     assert len(errors) >= 10
     assert all(issubclass(each, drive.DriveError) for each in errors)
