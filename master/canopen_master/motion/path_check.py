@@ -146,5 +146,5 @@ def _source_of(device: Device, kind: str, value: float) -> str:
     """Return where a limit comes from, in words. value: the limit."""
     own = device.limits
     if kind == "position":
-        return next((each.source for each in (own.lowest, own.highest) if each is not None and each.value == value), "")
+        return next((each.source for each in own.ends_of_paths if each is not None and each.value == value), "")
     return {"speed": own.speed, "acceleration": own.max_acceleration, "jerk": own.max_jerk}[kind].source
