@@ -340,6 +340,11 @@ async def test_what_else_is_refused() -> None:
             arm.override = 1.5
         with pytest.raises(PlanRefusedError):
             await arm.move([1.0])
+        with pytest.raises(PlanRefusedError, match="beyond all positions"):
+            await arm.move([0.0, 10**400])
+        async with arm.stream() as targets:
+            with pytest.raises(PlanRefusedError, match="beyond all positions"):
+                targets.aim_at([0.0, 10**400])
         async with loop.open_nursery() as nursery:
             nursery.start_soon(arm.follow, swing(0.5, -0.25))
             await moved(arm, 0.5)
