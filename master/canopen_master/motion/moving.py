@@ -31,7 +31,7 @@ from canopen_master.errors import (
 )
 from canopen_master.motion.device import Device
 from canopen_master.motion.member import Member
-from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin
+from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin, source_of
 from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
@@ -264,11 +264,14 @@ class Moving:
 
     @contextmanager
     def _names_joints(self) -> Iterator[None]:
-        """Let an error name the joint by its name."""
+        """Let an error name the joint by its name, and say where its limit comes from."""
         try:
             yield
         except PlanRefusedError as error:
             error.name_joint(self._names)
+            if error.joint is not None and error.limit is not None:
+                source = source_of(self._devices[error.joint], "position", error.limit)
+                error.seen += f": {source}" if source else ""
             raise
 
     @property
