@@ -346,6 +346,14 @@ async def test_what_else_is_refused() -> None:
             arm.override = 1.5
         with pytest.raises(PlanRefusedError):
             await arm.move([1.0])
+        for speed in (0, -0.5, 1.1, math.nan):
+            with pytest.raises(PlanRefusedError, match="speed must be above 0 and at most 1") as refused:
+                await arm.move([0.1, 0.1], speed=speed)
+            assert "speed_factor" not in str(refused.value)
+            for block in (arm.jog, arm.stream):
+                with pytest.raises(PlanRefusedError, match=": speed must be above 0 and at most 1"):
+                    async with block(speed=speed):
+                        pass
         with pytest.raises(PlanRefusedError, match="beyond all positions"):
             await arm.move([0.0, 10**400])
         async with arm.stream() as targets:

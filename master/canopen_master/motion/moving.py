@@ -119,6 +119,9 @@ class Moving:
         limit.
         """
         from canopen_master.trajectories.point_to_point import point_to_point
+        from canopen_master.trajectories.scaled_joints import check_share
+
+        check_share("speed", speed)
 
         def planned(start: PathPoint) -> Path:
             with self._names_joints():
@@ -160,8 +163,10 @@ class Moving:
         self, what: str, speed: float, renew_within: float | None
     ) -> AsyncIterator[tuple[TargetStream, Callable[[], None]]]:
         from canopen_master.trajectories.point_to_point import MARGIN
+        from canopen_master.trajectories.scaled_joints import check_share
         from canopen_master.trajectories.target_stream import TargetStream
 
+        check_share("speed", speed)
         await self._begin_following(what)
         self._require_movable(what)
         renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))
