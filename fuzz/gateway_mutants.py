@@ -226,6 +226,14 @@ GATEWAY_MUTANTS: Final = tuple(
             SERVICE,
         ),
         (
+            "guarded_for_a_stranger",
+            "canopen_master/motion/chain.py",
+            "            node.begin_use()\n",
+            "            pass\n",
+            "a chain is stopped in the middle of its motion by node guarding that a client asked for before",
+            LEASE,
+        ),
+        (
             "write_beside_the_lease",
             _SERVICE,
             "                self.service.lease.require_free(self, what)\n",

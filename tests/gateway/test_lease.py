@@ -526,6 +526,37 @@ async def test_nobody_elses_node_guarding_stops_a_chain() -> None:
             assert answer.startswith("[1] ERROR:102 #node guarding of node 3 on")
 
 
+@pytest.mark.parametrize("by_gateway", [True, False])
+@virtual_time
+async def test_node_guarding_that_a_client_has_begun_before_stops_no_chain(by_gateway: bool) -> None:
+    """It ends when a chain begins to use the node, and all that wanted it are told."""
+    async with machine("motion,nmt") as (host, service, arm):
+        remote = service.master.node(3).remote
+        await service.master.node(3).write_bytes(0x1017, 0, b"\x64\0")  # so it does not answer
+        with service.open_session("hand") as session, service.open_session("one") as one, service.open_session("other") as other:
+            clients = [TextClient(one), TextClient(other)]
+            for client in clients:
+                assert await client.say("[1] 3 enable guarding 1000 3") == "[1] OK"
+            owner = Owner(service, session)
+            if by_gateway:
+                await owner.ready(arm)
+            else:  # a program beside the gateway
+                await arm.initialise()
+                await arm.follow()
+                owner.lease.take(session)
+                owner.lease.enable(session, owner.next(), "arm")
+                await owner.hold(1)
+            for client in clients:
+                assert await client.event() == "1 3 ERROR 200 (Lost guarding message.)"
+            for _ in range(40):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                await trio.sleep(0.1)
+            assert is_moving(host)
+            assert not remote.guarding.guard_time
+            assert (await clients[0].say("[2] 3 disable guarding")).startswith("[2] ERROR:102")
+        assert not service.sessions
+
+
 @virtual_time
 async def test_no_client_ends_the_node_guarding_that_this_master_does_for_itself() -> None:
     async with machine("nmt") as (_, service, _):
