@@ -234,6 +234,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "unconfirmed_forgotten",
+            _LEASE,
+            "            self._unconfirmed.pop(name, None)\n",
+            "            self._unconfirmed.clear()\n",
+            "nobody is told any more that a drive did not confirm that it stands, since another chain moves",
+            LEASE,
+        ),
+        (
             "write_beside_the_lease",
             _SERVICE,
             "                self.service.lease.require_free(self, what)\n",

@@ -367,6 +367,49 @@ async def test_of_two_drives_on_one_node_each_is_halted_though_the_other_refuses
 
 
 @virtual_time
+async def test_what_did_not_confirm_that_it_stands_is_told_until_it_is_moved_itself() -> None:
+    async with gateway(3, 4, allow="motion") as (host, service):
+        arm = arm_of(service.master, 3)
+        leg = service.master.load_chains(text=f"leg joint4 {service.nets[0]} 4")["leg"]
+        lease = service.lease
+        with service.open_session("hand") as session, service.open_session("other") as other:
+            owner, next_owner = Owner(service, session), Owner(service, other)
+            node = drives(host)[0]
+            for index in (0x6040, 0x6041):
+                node.answer(index, 0, Answer(delay=5 * MILLISECOND))
+            lease.take(session)
+            lease.enable(session, owner.next(), "arm")
+            while state_of(value(node, 0x6041_00)) is not State.OPERATION_ENABLED:
+                lease.renew(session, owner.next())
+                await trio.sleep(0.001)
+            assert arm.state is ChainState.OFF
+            node.answer(0x6040, 0, Answer(abort=AbortCode.GENERAL_ERROR))
+            lease.leave(session)
+            await trio.sleep(8)
+            assert lease.problem.startswith("the lease is over; node 3 on"), lease.problem
+            told = lease.problem.removeprefix("the lease is over; ")
+            await next_owner.ready(leg)  # another chain
+            assert lease.problem == told
+            lease.jog(other, next_owner.next(), "leg", [0.0])
+            assert lease.problem == told
+            await next_owner.hold(0.2)
+            lease.stop(other, next_owner.next())
+            await next_owner.hold(0.5)
+            with pytest.raises(LeaseError, match="no chain 'tail'"):
+                lease.move(other, next_owner.next(), "tail", [0.0])
+            lease.move(other, next_owner.next(), "leg", [0.0, 0.0])  # which fails
+            await next_owner.hold(0.1)
+            assert lease.problem.endswith(f"; {told}")
+            assert not lease.problem.startswith("node 3")
+            lease.leave(other)
+            await trio.sleep(3)
+            assert lease.problem == f"the lease is over; {told}"
+            node.answer(0x6040, 0, Answer())
+            await next_owner.ready(arm)
+            assert lease.problem == ""
+
+
+@virtual_time
 async def test_a_motion_that_fails_is_told_and_ends_nothing_else() -> None:
     async with machine() as (_, service, arm):
         with service.open_session("hand") as session:
