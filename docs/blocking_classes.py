@@ -64,6 +64,8 @@ _INSIDE = "for the other classes of canopen_master"
 _BY_PROCEDURE = "`run` takes procedures; `in_loop` gives what has no blocking form"
 LEFT_OUT: Final = {
     "Master.begin": _BY_PROCEDURE,
+    "Node.begin_use": _INSIDE,
+    "Node.guard_for": _CALLBACK,
     "Master.body": _INSIDE,
     "Master.end_all": _INSIDE,
     "Master.finish": _INSIDE,

@@ -47,6 +47,22 @@ DRIVE_MUTANTS: Final = tuple(
             LIMITS,
         ),
         (
+            "path_without_end",
+            "drives/axis/limits.py",
+            "        if set_points.reach is None:\n",
+            "        if True:\n",
+            "joints without position limits set out along a path to where their drives can never be sent",
+            (*LIMITS, "tests/master/test_moving.py"),
+        ),
+        (
+            "rounded_beyond_the_object",
+            "drives/axis/limits.py",
+            "ROUNDING: Final = 2 * POSITION_TOLERANCE",
+            "ROUNDING: Final = 0.0",
+            "a path ends some counts beyond what the object of its set-points can hold, and is refused while the joints move",
+            LIMITS,
+        ),
+        (
             "stop_once",
             _STATE,
             "(insist if state in POWERED and not goes_up else command)",

@@ -226,6 +226,22 @@ GATEWAY_MUTANTS: Final = tuple(
             SERVICE,
         ),
         (
+            "guarded_for_a_stranger",
+            "canopen_master/motion/chain.py",
+            "            node.begin_use()\n",
+            "            pass\n",
+            "a chain is stopped in the middle of its motion by node guarding that a client asked for before",
+            LEASE,
+        ),
+        (
+            "unconfirmed_forgotten",
+            _LEASE,
+            "            self._unconfirmed.pop(name, None)\n",
+            "            self._unconfirmed.clear()\n",
+            "nobody is told any more that a drive did not confirm that it stands, since another chain moves",
+            LEASE,
+        ),
+        (
             "write_beside_the_lease",
             _SERVICE,
             "                self.service.lease.require_free(self, what)\n",

@@ -15,6 +15,7 @@ CLOCK: Final = ("tests/drives/test_path_clock.py",)
 ROUNDED: Final = ("tests/data/test_path_rounding.py",)
 STOPS: Final = ("tests/drives/test_stop_check.py",)
 LIMITS: Final = ("tests/drives/test_path_limits.py",)
+PATHS: Final = ("tests/drives/test_path.py",)
 
 _CHECK: Final = "drives/trajectory/limit_check.py"
 _CLOCK: Final = "drives/trajectory/path_clock.py"
@@ -42,6 +43,14 @@ TRAJECTORY_MUTANTS: Final = tuple(
             "_SAME_SPEED: Final = 1.0",
             "a velocity that jumps at a waypoint",
             LIMITS,
+        ),
+        (
+            "demand_without_number",
+            "drives/trajectory/path.py",
+            "t * abs(c5))))) > LARGEST:",
+            "t * abs(c5))))) > math.inf:",
+            "a path whose speed cannot be calculated is above no limit",
+            PATHS,
         ),
         # ---- the clock ----
         (

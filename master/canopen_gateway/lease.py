@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Final, Protocol
@@ -67,7 +67,8 @@ class LeaseHolder(Protocol):
 class Lease:
     """See this module's text. owner: the client that moves the machine, or None. problem: why the last motion ended early, or a
     halt was not confirmed; "" if all went well. What did not confirm that it stands is told to the next owner too, until a motion
-    begins. doing: what the owner is moved by at present: "", "enable", "jog", "move", "disable", "commission"."""
+    of just that chain or drive begins. doing: what the owner is moved by at present: "", "enable", "jog", "move", "disable",
+    "commission"."""
 
     def __init__(self, master: Master, guard: Guard) -> None:
         self.owner: LeaseHolder | None = None
@@ -92,7 +93,7 @@ class Lease:
         self._over = THE_TIME
         self._commissioned: Node | None = None  # the drive that the owner commissions
         self._set_up: set[Node] = set()  # the drives that he has commissioned
-        self._unconfirmed: list[str] = []  # what did not confirm that it stands, and nobody has moved since
+        self._unconfirmed: dict[str, str] = {}  # what did not confirm that it stands, and nobody has moved since: its name -> why
 
     # ---- whose it is ----
 
@@ -111,7 +112,7 @@ class Lease:
         if self.owner is None:
             if self._nursery is None:
                 raise LeaseError("the machine cannot be moved", seen="the gateway does not run, or is ending")
-            self.owner, self._last, self.problem, self._over = session, -1, "; ".join(self._unconfirmed), THE_TIME
+            self.owner, self._last, self.problem, self._over = session, -1, self._with_unconfirmed(), THE_TIME
             self._deadline = trio.current_time() + LEASE_TIME
             self._nursery.start_soon(self._watch, session)
 
@@ -203,19 +204,19 @@ class Lease:
     def enable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Give the joints of a chain power, and let them follow; in the background. Raises LeaseError, UnknownChainError."""
         arm = self._begin(session, sequence, chain, "enable")
-        self._run("enable", lambda: self._enabling(arm))
+        self._run("enable", lambda: self._enabling(arm), _names_of(arm))
 
     def disable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Halt the joints of a chain and take their power away; in the background. Raises as `enable`."""
         arm = self._begin(session, sequence, chain, "disable")
-        self._run("disable", arm.shut_down)
+        self._run("disable", arm.shut_down, _names_of(arm))
 
     def move(self, session: LeaseHolder, sequence: int, chain: str, targets: Sequence[float], *, speed: float = 1.0) -> None:
         """Move a chain to a target; in the background, for as long as the lease is renewed. targets: one for each joint, in its
         unit. speed: the share of each limit that is used. Raises as `enable`."""
         arm = self._begin(session, sequence, chain, "move")
         self._require_power(chain)
-        self._run("move", lambda: arm.move(targets, speed=speed))
+        self._run("move", lambda: arm.move(targets, speed=speed), _names_of(arm))
 
     def jog(self, session: LeaseHolder, sequence: int, chain: str, velocities: Sequence[float]) -> None:
         """Move the joints of a chain at these velocities, in their units per second, until the next message, or the end of the
@@ -224,7 +225,7 @@ class Lease:
             arm = self._begin(session, sequence, chain, "jog")
             self._require_power(chain)
             self._jogged, self._wanted, self._wanted_at = chain, list(velocities), trio.current_time()
-            self._run("jog", lambda: self._jogging(arm))
+            self._run("jog", lambda: self._jogging(arm), _names_of(arm))
             return
         self.renew(session, sequence)
         self._require_power(chain)
@@ -250,7 +251,7 @@ class Lease:
             )
         self._commissioned = node
         self._set_up.add(node)
-        self._run("commission", dialogue)
+        self._run("commission", dialogue, (node.where,))
 
     # ---- halt ----
 
@@ -271,7 +272,7 @@ class Lease:
         if self.owner is not None and (names & self._chains or (commissioned and _is_at(commissioned, net, node_id))):
             self._over = BY_HAND
             self.leave(self.owner)
-        problems: list[str] = []
+        problems: list[tuple[str, str]] = []
         with trio.CancelScope(shield=True):  # the client that asked may be gone: the halt still counts
             async with trio.open_nursery() as nursery:
                 for chain in chains:
@@ -282,7 +283,7 @@ class Lease:
                         nursery.start_soon(self._halted, node.where, self._halt_of(node, axis), problems)
                 for node, axis in self._asked(net, node_id):
                     nursery.start_soon(self._halted, node.where, partial(self._halt_if_powered, node, axis), problems)
-        return problems
+        return _told(problems)
 
     def stop_motion(self) -> None:
         """Cancel the motion of the lease: the joints brake. Does nothing if there is none."""
@@ -325,11 +326,13 @@ class Lease:
         if self.owner is not session or trio.current_time() >= self._deadline:
             raise LeaseError("this client does not have the lease, or not any more", tries=("take it first",))
 
-    def _run(self, doing: str, motion: Callable[[], Awaitable[object]]) -> None:
+    def _run(self, doing: str, motion: Callable[[], Awaitable[object]], moved: Iterable[str]) -> None:
+        """Begin a motion. moved: the names of the chain and the nodes that it moves: whether these stand is asked anew."""
         if self._nursery is None:
             raise LeaseError("the machine cannot be moved", seen="the gateway is ending")
-        self.doing, self.problem = doing, ""
-        self._unconfirmed.clear()
+        for name in moved:
+            self._unconfirmed.pop(name, None)
+        self.doing, self.problem = doing, self._with_unconfirmed()
         self._scope, self._ended = trio.CancelScope(), trio.Event()
         self._nursery.start_soon(self._carry_out, self._scope, motion)
 
@@ -339,8 +342,9 @@ class Lease:
             with scope:
                 await motion()
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told, and ends this motion alone
-            self.problem = _first_line(error)
-            LOGGER.warning("%s ended: %s", self.doing, self.problem)
+            problem = _first_line(error)
+            self.problem = self._with_unconfirmed(problem)
+            LOGGER.warning("%s ended: %s", self.doing, problem)
         finally:
             if self._scope is scope:
                 self._scope, self.doing, self._commissioned = None, "", None
@@ -376,7 +380,7 @@ class Lease:
         moved = self._scope is not None
         self.stop_motion()
         with trio.CancelScope(shield=True):
-            problems: list[str] = []
+            problems: list[tuple[str, str]] = []
             async with trio.open_nursery() as nursery:
                 left = set(self._set_up)
                 for name in self._chains:
@@ -390,10 +394,11 @@ class Lease:
                         nursery.start_soon(self._halted, node.where, partial(self._left, node, axis), problems)
         if moved or problems:
             LOGGER.warning(
-                "%s: what %s moved was halted. %s", why, "nobody" if owner is None else owner.name, "; ".join(problems)
+                "%s: what %s moved was halted. %s", why, "nobody" if owner is None else owner.name, "; ".join(_told(problems))
             )
-        self._unconfirmed += problems
-        self.problem = "; ".join([why, *self._unconfirmed])
+        for name in dict.fromkeys(name for name, _ in problems):
+            self._unconfirmed[name] = "; ".join(_told(each for each in problems if each[0] == name))
+        self.problem = self._with_unconfirmed(why)
         self._chains.clear()
         self._set_up.clear()
         self.owner = None
@@ -406,14 +411,18 @@ class Lease:
         if self._has_power(node):
             await self._halt_of(node, axis)()
 
-    async def _halted(self, what: str, stop: Callable[[], Awaitable[object]], problems: list[str]) -> None:
+    def _with_unconfirmed(self, problem: str = "") -> str:
+        """Return a problem, with what did not confirm that it stands."""
+        return "; ".join([problem, *self._unconfirmed.values()] if problem else self._unconfirmed.values())
+
+    async def _halted(self, what: str, stop: Callable[[], Awaitable[object]], problems: list[tuple[str, str]]) -> None:
         try:
             with trio.fail_after(HALT_TIME):
                 await stop()
         except trio.TooSlowError:
-            problems.append(f"{what}: it did not confirm within {HALT_TIME:g} s that it stands")
+            problems.append((what, f"it did not confirm within {HALT_TIME:g} s that it stands"))
         except (MasterError, ProcedureError, LocalProtocolError) as error:
-            problems.append(f"{what}: {_first_line(error)}")
+            problems.append((what, _first_line(error)))
 
     def _halt_of(self, node: Node, axis: int) -> Callable[[], Awaitable[object]]:
         return lambda: self._master.run(halt(self._master.device(node, axis=axis).axis))
@@ -489,6 +498,15 @@ def _axes(node: Node) -> Sequence[int]:
 
 def _is_at(node: Node, net: str | None, node_id: int) -> bool:
     return (net is None or node.bus == net) and node_id in (0, node.node_id)
+
+
+def _names_of(chain: Chain) -> list[str]:
+    """Return the names under which what did not confirm that it stands is kept: of a chain, and of its nodes."""
+    return [chain.name, *(device.node.where for device in chain.devices)]
+
+
+def _told(problems: Iterable[tuple[str, str]]) -> list[str]:
+    return [f"{what}: {why}" for what, why in problems]
 
 
 def _first_line(error: BaseException) -> str:

@@ -245,6 +245,13 @@ class GatewayService:
             for chain in self.master.chains.values()
         )
 
+    def lose_guarding(self, net: str, node_id: int) -> None:
+        """Tell all clients that want the guarding of a node that it is lost: a chain begins to use the node."""
+        guarding = self.node(net, node_id).remote.guarding
+        lost = NodeGuardingLost(node_id, guarding.state, guarding.life_time)
+        for session in self.sessions:
+            session.lose_guarding(net, lost)
+
 
 class GatewaySession:
     """A client of a gateway. name: for people. dropped: events that came faster than they were taken."""
@@ -355,7 +362,8 @@ class GatewaySession:
     def guard_node(self, net: str, node_id: int, guard_time: float, life_time_factor: int) -> None:
         """Ask a node once per guard time (seconds) whether it lives: node guarding. NodeGuardingLost follows. 0 for either ends
         it, unless another client wants it. Raises NotAllowedError, LocalProtocolError; LeaseError for a node that a chain uses,
-        which is stopped without an answer, and for one that this master guards for itself."""
+        which is stopped without an answer, and for one that this master guards for itself. It ends, with that event, when a chain
+        begins to use the node."""
         self.service.guard.require(Permission.NMT, "node guarding")
         node, place = self.service.node(net, node_id), (net, node_id)
         is_ours = any(place in session._guarded for session in self.service.sessions)
@@ -363,7 +371,7 @@ class GatewaySession:
             why = "a chain uses it" if self.service.is_moved(node) else "this master guards it for itself"
             raise LeaseError(f"node guarding of {node.where} was refused: {why}", tries=("its heartbeat tells whether it lives",))
         if guard_time and life_time_factor:
-            node.start_guarding(guard_time, life_time_factor)
+            node.guard_for(guard_time, life_time_factor, partial(self.service.lose_guarding, net, node_id))
             self._guarded.add(place)
         else:
             self._end_guarding(place)
@@ -372,6 +380,11 @@ class GatewaySession:
         self._guarded.discard(place)
         if not any(place in session._guarded for session in self.service.sessions):
             self.service.node(*place).stop_guarding()
+
+    def lose_guarding(self, net: str, lost: NodeGuardingLost) -> None:
+        """Be told that the guarding of a node has ended; does nothing if this client did not want it."""
+        self._hear(net, lost)
+        self._guarded.discard((net, lost.node_id))
 
     # ---- events ----
 

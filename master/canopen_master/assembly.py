@@ -27,7 +27,9 @@ def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | 
         node.name = entry.name
         master.nodes[entry.name] = node
     for joint in machine.joints.values():
-        master.joints[joint.name] = master.device(master.nodes[joint.node], joint.name, joint.settings, axis=joint.axis)
+        device = master.device(master.nodes[joint.node], joint.name, joint.settings, axis=joint.axis)
+        device.entry = f"joints.{joint.name}", machine.source or "the machine file"
+        master.joints[joint.name] = device
     for chain in machine.chains.values():
         axes = {name: machine.joints[name].settings for name in chain.joints}
         master.chain(described(chain, machine), chain.settings, axes=axes)

@@ -221,7 +221,8 @@ class SetPointRefusedError(MasterError, ValueError):
 
 
 def wrong_values(values: object, joints: int) -> str:
-    """Return why values are not one finite number for each joint; "" if they are. Any sequence will do, and arrays of numpy."""
+    """Return why values are not one number for each joint, as large as a float at most; "" if they are. Any sequence will do, and
+    arrays of numpy."""
     if isinstance(values, str | bytes) or not isinstance(values, Sized) or not isinstance(values, Iterable):
         return f"{values!r} is no list of numbers"
     if len(values) != joints:
@@ -229,6 +230,11 @@ def wrong_values(values: object, joints: int) -> str:
     for each in values:
         if type(each) is not float and (isinstance(each, bool) or not isinstance(each, Real)):
             return f"{each!r} is no number"
+        try:
+            float(each)
+        except OverflowError:
+            size = f"whole number of {each.bit_length()} bits" if isinstance(each, int) else "number"
+            return f"a {size} is beyond all positions"
     return ""
 
 

@@ -65,6 +65,7 @@ class Node(Peer):
         remote.commanded.update(self._controlwords)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand: set[int] = set()  # axes; a write may be executed though no task has waited for its confirmation
         self.axes: dict[int, Axis] = {}
+        self._guarding_left: Callable[[], None] | None = None  # the guarding under way is somebody else's
         self._pdos: NodePdos | None = None
         self.watch((SdoDownloaded,), self._on_written)
 
@@ -322,11 +323,26 @@ class Node(Peer):
         Events: HeartbeatReceived; NodeGuardingLost after guard_time * life_time_factor without an answer.
         """
         self.remote.start_guarding(round(guard_time * SECOND), life_time_factor, self.now())
+        self._guarding_left = None
         self._participant.pump.pump()
+
+    @protected
+    def guard_for(self, guard_time: float, life_time_factor: int, left: Callable[[], None]) -> None:
+        """Start guarding for somebody outside of this program, as `start_guarding` does. A chain would be stopped without an
+        answer: so it ends when one begins to use the node. left: called then, before the guarding stops."""
+        self.start_guarding(guard_time, life_time_factor)
+        self._guarding_left = left
+
+    def begin_use(self) -> None:
+        """End the guarding of `guard_for`: a chain begins to use the node."""
+        if self._guarding_left is not None:
+            self._guarding_left()
+            self.stop_guarding()
 
     @protected
     def stop_guarding(self) -> None:
         """Stop node guarding."""
+        self._guarding_left = None
         self.remote.stop_guarding()
         self._participant.pump.pump()
 

@@ -406,8 +406,14 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("words", "others"),
     [
-        (FASTER, "a larger max_speed, if it may go as fast as that: max_speed = ... of its joint in the machine file"),
-        (NO_SCALE[0], "give its scale: counts_per_unit = ... of its joint in the machine file, or its unit"),
+        (
+            FASTER.format("AxisSettings(max_speed=...) in `axes`"),
+            "a larger max_speed, if it may go as fast as that: max_speed = ... of its joint in the machine file",
+        ),
+        (
+            NO_SCALE.format("AxisSettings(counts_per_unit=...) in `axes`"),
+            "give its scale: counts_per_unit = ... of its joint in the machine file, or its unit",
+        ),
         (
             "AxisSettings(keeps_reference=True) if it has one",
             "keeps_reference = true of its joint in the machine file if it has one",
@@ -418,7 +424,7 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
             "mode_change_state = 'switched on' of its joint in the machine file",
         ),
         ("ChainSettings(define_pdos=True) tells it to", "define_pdos = true of its chain in the machine file tells it to"),
-        ("AxisSettings(max_...)", "max_... of its joint in the machine file"),
+        ("AxisSettings(max_position=...) in `axes`", "max_position = ... of its joint in the machine file"),
         ("above 0, math.inf for none", "above 0, inf for none"),
     ],
 )

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, Axis, AxisSettings
-from canopen_proto.drives.axis.limits import DEFAULT_SPEED, DriveLimits, Limit, SetPointLimits, limits_of, read_limits
-from canopen_proto.drives.trajectory import JointLimits
+from canopen_proto.drives.axis.limits import DEFAULT_SPEED, ROUNDING, DriveLimits, Limit, SetPointLimits, limits_of, read_limits
+from canopen_proto.drives.trajectory import JointLimits, Path, Segment, first_violation
+from canopen_proto.drives.trajectory.path import POSITION_TOLERANCE
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFailed
@@ -26,6 +27,8 @@ DICTIONARY = drive_dictionary()
 CYCLE = 10 * MILLISECOND
 FOREVER = 10**12 * SECOND
 DEGREES = AxisSettings(counts_per_unit=1000)
+FARTHEST = 2_147_483.647 * (1 - ROUNDING)
+"""The end of INTEGER32 in degrees, less what the check of a path takes for rounding."""
 DEFAULT = "the default, as neither the settings nor the drive say how fast it may go"
 
 
@@ -125,14 +128,33 @@ def test_acceleration_is_told(objects: dict[tuple[int, int], int], settings: Axi
 
 def test_a_path_has_the_limits_of_the_settings_else_of_the_drive_else_what_the_speed_gives() -> None:
     told = DriveLimits(Limit(-90_000, "low"), None, Limit(50_000, "fast"), Limit(400_000, "0x60C5 of the drive"))
-    assert limits_of(axis_of(DEGREES), told).of_paths == JointLimits(-90, None, 50, 400, 4000)
+    assert limits_of(axis_of(DEGREES), told).of_paths == JointLimits(-90, FARTHEST, 50, 400, 4000)
     own = limits_of(axis_of(replace(DEGREES, max_acceleration=500.0, max_jerk=math.inf)), told)
     assert own.max_acceleration == Limit(500, "the settings (max_acceleration)")
     assert own.max_jerk == Limit(math.inf, "the settings (max_jerk)")
     assert own.acceleration == Limit(400, "0x60C5 of the drive")  # the drive keeps to it, whatever a path may ask for
     assert limits_of(axis_of(replace(DEGREES, max_speed=math.inf))).of_paths == JointLimits(
-        None, None, math.inf, math.inf, math.inf
+        -FARTHEST - 0.001 * (1 - ROUNDING), FARTHEST, math.inf, math.inf, math.inf
     )
+
+
+scales = st.floats(1e-3, 1e7)
+offsets = st.integers(-(1 << 31), (1 << 31) - 1)
+
+
+@given(st.none() | scales, offsets, st.sampled_from([1, -1]), st.sampled_from(["lowest", "highest"]))
+def test_whatever_the_unit_a_path_that_is_within_its_limits_fits_the_object_of_the_drive(
+    counts_per_unit: float | None, offset: int, direction: int, end: str
+) -> None:
+    axis = axis_of(AxisSettings(counts_per_unit=counts_per_unit, offset=offset, direction=direction))
+    limits = limits_of(axis).of_paths
+    position = getattr(limits, end)
+    beyond = math.copysign(POSITION_TOLERANCE * max(1.0, abs(position)), 1.0 if end == "highest" else -1.0)
+    path = Path([[Segment(1.0, (position + beyond,))]])  # as far as the check of a path lets it go
+    assert first_violation(path, [limits], 0.01) is None
+    axis.set_points.check(axis.scale.to_counts(position + beyond))
+    further = Path([[Segment(1.0, (axis.scale.from_counts(axis.scale.to_counts(position + 3 * beyond)) + 3 * beyond,))]])
+    assert first_violation(further, [limits], 0.01) is not None
 
 
 def test_what_may_not_be_read_says_nothing_and_a_drive_that_does_not_answer_is_an_error() -> None:

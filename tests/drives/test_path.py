@@ -66,7 +66,10 @@ REST = Segment(1.0, (0.0,))
         ([[Segment(math.nan, (1.0,))]], "has the duration nan"),
         ([[REST, Segment(1.0, ())]], "Segment 1 of joint 0, which begins at 1 s, has 0 coefficients"),
         ([[Segment(1.0, (0.0,) * 7)]], "has 7 coefficients. Try: 1 to 6"),
-        ([[Segment(1.0, (0.0, math.inf))]], r"no finite number: \(0.0, inf\)"),
+        ([[Segment(1.0, (0.0, math.inf))]], r"no finite number up to 1e\+100: \(0.0, inf\)"),
+        ([[Segment(1.0, (0.0, 10**5000))]], r"no finite number up to 1e\+100: \(0.0, a whole number of 16610 bits\)"),
+        ([[REST], [Segment(1.0, (0.0, 1e307, -1e308))]], "Segment 0 of joint 1, which begins at 0 s, has a coefficient"),
+        ([[Segment(1e30, (0.0, 0.0, 0.0, 0.0, 1e30))]], r"goes beyond 1e\+100"),
         ([[REST, Segment(1.0, (0.1,))]], "starts at 0.1, but the segment before ends at 0.0"),
         ([[REST], [REST, REST]], "joint 0 ends at 1 s, joint 1 at 2 s"),
     ],
@@ -89,6 +92,8 @@ def test_rounding_at_a_knot_is_no_jump() -> None:
         ({"speed": 0.0}, "limit of the speed must be above 0"),
         ({"acceleration": -1.0}, "limit of the acceleration"),
         ({"jerk": math.nan}, "limit of the jerk"),
+        ({"lowest": math.nan}, "below the highest"),
+        ({"highest": math.nan}, "below the highest"),
     ],
 )
 def test_limits_that_allow_nothing_are_refused(limits: dict[str, float], text: str) -> None:

@@ -367,6 +367,49 @@ async def test_of_two_drives_on_one_node_each_is_halted_though_the_other_refuses
 
 
 @virtual_time
+async def test_what_did_not_confirm_that_it_stands_is_told_until_it_is_moved_itself() -> None:
+    async with gateway(3, 4, allow="motion") as (host, service):
+        arm = arm_of(service.master, 3)
+        leg = service.master.load_chains(text=f"leg joint4 {service.nets[0]} 4")["leg"]
+        lease = service.lease
+        with service.open_session("hand") as session, service.open_session("other") as other:
+            owner, next_owner = Owner(service, session), Owner(service, other)
+            node = drives(host)[0]
+            for index in (0x6040, 0x6041):
+                node.answer(index, 0, Answer(delay=5 * MILLISECOND))
+            lease.take(session)
+            lease.enable(session, owner.next(), "arm")
+            while state_of(value(node, 0x6041_00)) is not State.OPERATION_ENABLED:
+                lease.renew(session, owner.next())
+                await trio.sleep(0.001)
+            assert arm.state is ChainState.OFF
+            node.answer(0x6040, 0, Answer(abort=AbortCode.GENERAL_ERROR))
+            lease.leave(session)
+            await trio.sleep(8)
+            assert lease.problem.startswith("the lease is over; node 3 on"), lease.problem
+            told = lease.problem.removeprefix("the lease is over; ")
+            await next_owner.ready(leg)  # another chain
+            assert lease.problem == told
+            lease.jog(other, next_owner.next(), "leg", [0.0])
+            assert lease.problem == told
+            await next_owner.hold(0.2)
+            lease.stop(other, next_owner.next())
+            await next_owner.hold(0.5)
+            with pytest.raises(LeaseError, match="no chain 'tail'"):
+                lease.move(other, next_owner.next(), "tail", [0.0])
+            lease.move(other, next_owner.next(), "leg", [0.0, 0.0])  # which fails
+            await next_owner.hold(0.1)
+            assert lease.problem.endswith(f"; {told}")
+            assert not lease.problem.startswith("node 3")
+            lease.leave(other)
+            await trio.sleep(3)
+            assert lease.problem == f"the lease is over; {told}"
+            node.answer(0x6040, 0, Answer())
+            await next_owner.ready(arm)
+            assert lease.problem == ""
+
+
+@virtual_time
 async def test_a_motion_that_fails_is_told_and_ends_nothing_else() -> None:
     async with machine() as (_, service, arm):
         with service.open_session("hand") as session:
@@ -524,6 +567,37 @@ async def test_nobody_elses_node_guarding_stops_a_chain() -> None:
             await owner.hold(0.25)
             assert is_moving(host)
             assert answer.startswith("[1] ERROR:102 #node guarding of node 3 on")
+
+
+@pytest.mark.parametrize("by_gateway", [True, False])
+@virtual_time
+async def test_node_guarding_that_a_client_has_begun_before_stops_no_chain(by_gateway: bool) -> None:
+    """It ends when a chain begins to use the node, and all that wanted it are told."""
+    async with machine("motion,nmt") as (host, service, arm):
+        remote = service.master.node(3).remote
+        await service.master.node(3).write_bytes(0x1017, 0, b"\x64\0")  # so it does not answer
+        with service.open_session("hand") as session, service.open_session("one") as one, service.open_session("other") as other:
+            clients = [TextClient(one), TextClient(other)]
+            for client in clients:
+                assert await client.say("[1] 3 enable guarding 1000 3") == "[1] OK"
+            owner = Owner(service, session)
+            if by_gateway:
+                await owner.ready(arm)
+            else:  # a program beside the gateway
+                await arm.initialise()
+                await arm.follow()
+                owner.lease.take(session)
+                owner.lease.enable(session, owner.next(), "arm")
+                await owner.hold(1)
+            for client in clients:
+                assert await client.event() == "1 3 ERROR 200 (Lost guarding message.)"
+            for _ in range(40):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                await trio.sleep(0.1)
+            assert is_moving(host)
+            assert not remote.guarding.guard_time
+            assert (await clients[0].say("[2] 3 disable guarding")).startswith("[2] ERROR:102")
+        assert not service.sessions
 
 
 @virtual_time

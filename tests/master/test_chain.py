@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from fractions import Fraction
 
 import pytest
 
@@ -261,6 +262,9 @@ async def test_set_points_that_are_refused_change_nothing() -> None:
             ("0.1", "'0.1' is no list of numbers"),
             (0.1, "0.1 is no list of numbers"),
             ([None, 0.0], "None is no number"),
+            ([0.0, 10**400], "a whole number of 1329 bits is beyond all positions"),
+            ([-(10**5000), 0.0], "a whole number of 16610 bits is beyond all positions"),
+            ([0.0, Fraction(10**400, 3)], "a number is beyond all positions"),
             (["0.1", 0.0], "'0.1' is no number"),
             ([True, 0.0], "True is no number"),
             ({"joint1": 0.1, "joint2": 0.1}, "'joint1' is no number"),

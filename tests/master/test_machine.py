@@ -12,11 +12,12 @@ from canopen_data.descriptions import load_description
 from canopen_data.findings import DictionaryError
 from canopen_master import DeviceModel, open_master
 from canopen_master.direct import Session
-from canopen_master.errors import ChainError, SetPointRefusedError
+from canopen_master.errors import ChainError, PathRefusedError, PlanRefusedError, SetPointRefusedError
 from canopen_master.machine_file import machine_of_chains, machine_text, parse_machine
 from canopen_master.motion.chain_file import parse_chains
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
+from canopen_proto.drives.trajectory import cubic
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
 from canopen_proto.pdo.consumer import PdoReceived
@@ -93,11 +94,34 @@ async def test_two_arms_on_two_buses_move_in_degrees(cell: Path) -> None:
             if cycle.time >= 1.1:
                 break
         assert arm.positions == pytest.approx([start[0] + 10, start[1] + 5], abs=0.01)
-        with pytest.raises(SetPointRefusedError, match=r"wrist was refused\n.*more than 40: the settings"):
+        with pytest.raises(SetPointRefusedError, match=r"wrist was refused\n.*more than 40: the settings") as fast:
             arm.set_positions([start[0] + 10, start[1] + 10])
+        assert f"if it may go as fast as that: joints.wrist.max_speed in {cell}" in str(fast.value)
         moved = [position_of(host, drives(host)[0]) for host in (left, right)]
         assert moved == pytest.approx([1000 * (start[0] + 10), -1000 * (start[1] + 5)], abs=10)
         await arm.shut_down()
+
+
+@virtual_time
+async def test_what_a_limit_refuses_names_its_key_in_the_file_and_no_longer_path_for_a_position(cell: Path) -> None:
+    left_side, right_side = simulated(3, bus="virtual:left"), simulated(3, bus="virtual:right")
+    async with left_side, right_side, open_master(machine=cell) as master:
+        arm = master.chains["arm"]
+        await arm.initialise()
+        await arm.home()
+        await arm.follow()
+        (here, there), up = arm.desired_positions, 30.0
+        for path, kind, words in (
+            (cubic([0, 20], [[here, there], [here, 31.0]]), "position", f"go there: joints.wrist.max_position in {cell}"),
+            (cubic([0, 1], [[here, there], [here, up]]), "acceleration", f"do more: joints.wrist.max_acceleration in {cell}"),
+        ):
+            with pytest.raises(PathRefusedError) as refused:
+                await arm.follow(path)
+            assert refused.value.kind == kind
+            assert words in str(refused.value)
+            assert ("takes longer" in str(refused.value)) == (kind == "acceleration")
+        with pytest.raises(PlanRefusedError, match=r"position 31, its highest is 30: the settings \(max_position\)"):
+            await arm.move([here, 31.0])
 
 
 @virtual_time

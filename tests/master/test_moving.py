@@ -18,14 +18,16 @@ from canopen_master import (
     PathRefusedError,
     PlanRefusedError,
     Progress,
+    through_points,
     together,
 )
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.trajectory import Path, PathError, Segment, from_function
 from canopen_proto.machine import LocalProtocolError
 from tests.examples import examples
 from tests.loops import jump, loop
 from tests.master.direct_world import patient
-from tests.master.path_world import AXIS, CYCLE, Record, arms, swing
+from tests.master.path_world import AXIS, CYCLE, DRIVE, Record, arms, swing
 from tests.master.test_path_motion import ON_PATH, WITHIN, distance_from, moved
 from tests.master.world import virtual_time
 
@@ -235,7 +237,11 @@ REFUSED = {
     "begins elsewhere": (Path([[Segment(1.0, (0.2,))], [Segment(1.0, (0.0,))]]), "does not begin where j01 stands", "0.2"),
     "too fast": (line(3.0, 2.0), "j01 beyond its limit of speed at 0 s", r"speed 1.5 per second, its limit is 1 per second"),
     "too many joints": (swing(0.1, 0.1, 0.1), "the path has 3 joints, not 2", "j01, j02"),
-    "beyond": (swing(2.5, 0.0, duration=20.0), "j01 beyond its limit of position", r"its limit is 2: the settings"),
+    "beyond": (
+        swing(2.5, 0.0, duration=20.0),
+        "j01 beyond its limit of position",
+        r"its limit is 2: the settings(.|\n)*try: .* `path_limits` (.|\n)*or: .* AxisSettings\(max_position=...\) in `axes`",
+    ),
     "no room to stop": (parabola(4.0), "cannot be followed", "leaves nothing free .* j01 needs the acceleration 4"),
 }
 
@@ -251,6 +257,58 @@ async def test_a_path_is_refused_before_anything_moves(case: str) -> None:
         assert re.search(seen, str(caught.value)), caught.value
         await loop.sleep(0.3)
         assert record.largest(1) == 0
+        assert arm.state is ChainState.FOLLOWING
+
+
+FARTHEST = 2147.4
+"""Nearly the end of INTEGER32, in the unit of these arms: no limit keeps a joint from going there."""
+
+
+def out_and_back(top: float) -> Path:
+    """A path from 0 by `top` to 0, well within all speeds: its ends do not show how far it goes."""
+    t = abs(top) * 4.0
+    return Path([[Segment(t, (0.0, 0.0, 16 * top / t**2, -32 * top / t**3, 16 * top / t**4))], [Segment(t, (0.0,))]])
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
+@virtual_time
+async def test_however_a_motion_is_begun_a_position_that_the_drive_can_never_be_given_moves_nothing(
+    direction: int, mode: Mode
+) -> None:
+    axis, far = replace(AXIS, direction=direction), FARTHEST + 1.0
+    async with arms(2, 2, axis=axis, mode=mode) as (_, [arm, other], record):
+        both = together(arm, other)
+        for target in (far, -far):
+            for moving, targets in ((arm, [target, 0.0]), (both, [0.0, 0.0, 0.0, target])):
+                with pytest.raises(PlanRefusedError, match=f"j[01]. cannot go to {target:g}"):
+                    await moving.move(targets)
+            for path in (out_and_back(target), lambda start, top=target: out_and_back(top)):
+                with pytest.raises(PathRefusedError, match="j01 beyond its limit of position at") as caught:
+                    await arm.follow(path)
+                assert re.search("what 0x(60C1:01|607A) of the drive can hold", str(caught.value)), caught.value
+                assert "takes longer" not in str(caught.value)
+                assert "wider limit" not in str(caught.value)
+            with pytest.raises(PlanRefusedError, match="would leave its limits"):
+                await arm.follow(through_points([[0.0, 0.0], [target, 1.0], [0.0, 0.0]], arm.path_limits))
+        await loop.sleep(0.3)
+        assert record.largest(1) == 0
+        assert arm.state is other.state is ChainState.FOLLOWING
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@virtual_time
+async def test_whatever_a_stream_is_told_no_joint_leaves_what_its_set_point_can_hold(direction: int) -> None:
+    axis = replace(AXIS, direction=direction)
+    async with arms(1, axis=axis, drive=replace(DRIVE, position=2_147_000_000)) as (_, [arm], _):
+        await arm.follow()
+        for block, give in ((arm.stream, "aim_at"), (arm.jog, "velocity")):
+            async with block() as motion:
+                for _ in range(20):
+                    getattr(motion, give)([direction * 1e5])
+                    await loop.sleep(0.1)
+            assert arm.desired_positions == pytest.approx([direction * 2147.4836], abs=1e-4)
+            await arm.move([direction * 2147.1])
         assert arm.state is ChainState.FOLLOWING
 
 
@@ -288,6 +346,19 @@ async def test_what_else_is_refused() -> None:
             arm.override = 1.5
         with pytest.raises(PlanRefusedError):
             await arm.move([1.0])
+        for speed in (0, -0.5, 1.1, math.nan):
+            with pytest.raises(PlanRefusedError, match="speed must be above 0 and at most 1") as refused:
+                await arm.move([0.1, 0.1], speed=speed)
+            assert "speed_factor" not in str(refused.value)
+            for block in (arm.jog, arm.stream):
+                with pytest.raises(PlanRefusedError, match=": speed must be above 0 and at most 1"):
+                    async with block(speed=speed):
+                        pass
+        with pytest.raises(PlanRefusedError, match="beyond all positions"):
+            await arm.move([0.0, 10**400])
+        async with arm.stream() as targets:
+            with pytest.raises(PlanRefusedError, match="beyond all positions"):
+                targets.aim_at([0.0, 10**400])
         async with loop.open_nursery() as nursery:
             nursery.start_soon(arm.follow, swing(0.5, -0.25))
             await moved(arm, 0.5)

@@ -11,6 +11,9 @@ Origin of the limits
 The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Without either, the
 position has no limit: a turntable has none.
 
+**A path** is kept within what the object of the set-points can hold, too (`ends_of_paths`): most hold an INTEGER32. No drive can
+be given a position beyond it, however long the path takes to get there. A set-point that does not fit is refused by itself.
+
 A direction of -1 makes the drive's upper limit the user's lower one.
 
 **Acceleration and jerk** are limits of paths: these are planned, checked and stopped within them. A set-point is not refused for
@@ -47,8 +50,9 @@ from canopen_proto.drives.axis.units import DriveUnits, read_number, read_units
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.trajectory.limit_check import JointLimits
+from canopen_proto.drives.trajectory.path import POSITION_TOLERANCE
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
-from canopen_proto.multiplexer import Mux
+from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.steps import Procedure
 
 DEFAULT_SPEED: Final = 30_000
@@ -62,11 +66,15 @@ DEFAULT_ONSET: Final = 0.1
 
 BY_DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
 """The source of a speed limit that nobody gave."""
+_OF_DRIVE: Final = "of the drive"
 FROM_SPEED: Final = f"the default: the speed limit, reached in {DEFAULT_RAMP:g} s"
 FROM_ACCELERATION: Final = f"the default: the limit of the acceleration, reached in {DEFAULT_ONSET:g} s"
 """The sources of limits that nobody gave."""
 EXACT: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
+ROUNDING: Final = 2 * POSITION_TOLERANCE
+"""So far before the end of what an object can hold does a path end, in the user's unit, and as a part of positions above 1: the
+check of a path lets it go beyond its limits by half of that."""
 
 
 class Limit(NamedTuple):
@@ -112,9 +120,23 @@ class SetPointLimits:
 
     @property
     def of_paths(self) -> JointLimits:
-        """The limits for a path of this joint: to plan it, to check it, and to stop on it."""
-        lowest, highest = (None if limit is None else limit.value for limit in (self.lowest, self.highest))
+        """The limits for a path of this joint: to plan it, to check it, and to stop on it. Positions: see `ends_of_paths`."""
+        lowest, highest = (None if limit is None else limit.value for limit in self.ends_of_paths)
         return JointLimits(lowest, highest, self.speed.value, self.max_acceleration.value, self.max_jerk.value)
+
+    @property
+    def ends_of_paths(self) -> tuple[Limit | None, Limit | None]:
+        """The lowest and the highest position of a path: the position limits, and what the object of the set-points can hold."""
+        set_points = self.axis.set_points
+        if set_points.reach is None:
+            return self.lowest, self.highest
+        source = f"what {mux_text(set_points.objects[0]).removesuffix(':00')} {_OF_DRIVE} can hold"
+        least, most = sorted(map(self.axis.scale.from_counts, set_points.reach))
+        least, most = least + ROUNDING * max(1.0, abs(least)), most - ROUNDING * max(1.0, abs(most))
+        return (
+            Limit(least, source) if self.lowest is None or self.lowest.value < least else self.lowest,
+            Limit(most, source) if self.highest is None or self.highest.value > most else self.highest,
+        )
 
     def allows(self, start: float, target: float, time: Time) -> bool:
         """Return whether a set-point may be given: `excess` has nothing against it, and it fits the drive's object.
@@ -196,7 +218,6 @@ def _converted(limit: Limit | None, convert: Callable[[float], float]) -> Limit 
 
 
 _INTEGER32: Final = 1 << 31
-_OF_DRIVE: Final = "of the drive"
 
 
 @as_drive_errors

@@ -76,6 +76,12 @@ class SetPoint:
         value = self._store.get(self.mux, 0)
         return value if isinstance(value, int) else 0
 
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """The least and the greatest number that the drive's object can hold; None if it holds no integer. Of a record: those of
+        its first object, the position."""
+        return range_of(self._variable.data_type)
+
     def check(self, number: int) -> None:
         """Raise ValueRangeError for a number that the drive's object cannot hold."""
         if type(number) is not int or not self._least <= number <= self._greatest:
@@ -205,6 +211,11 @@ class AxisSetPoints:
             self._position.put(counts)
         else:
             self._position.put(counts, velocity)
+
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """The least and the greatest position, in counts, that the object of the drive can hold; None if it holds no integer."""
+        return self._position.reach
 
     def check(self, counts: int) -> None:
         """Raise ValueRangeError for a position, in counts, that the object of the drive cannot hold."""

@@ -18,11 +18,13 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias
 
-from canopen_proto.drives.trajectory.path import TIME_TOLERANCE, Path, PathError, Segment
+from canopen_proto.drives.trajectory.path import LARGEST, TIME_TOLERANCE, Path, PathError, Segment, is_number, shown
 from canopen_proto.drives.trajectory.polynomial import quintic_top
 
 Rows: TypeAlias = Sequence[Sequence[float]]
 
+LONGEST_STEP: Final = 1e15
+"""Seconds from waypoint to waypoint, at most: their fifth power is still a number."""
 MIN_STEPS: Final = 3
 """The velocities at the ends of a function are taken from four of its values."""
 MAX_STEPS: Final = 1_000_000
@@ -87,10 +89,10 @@ def _steps(times: Sequence[float]) -> list[float]:
         raise PathError(f"A path needs at least two waypoints; there are {len(times)}.")
     steps = [end - begin for begin, end in itertools.pairwise(times)]
     for number, step in enumerate(steps):
-        if not TIME_TOLERANCE <= step < math.inf:
+        if not TIME_TOLERANCE <= step <= LONGEST_STEP:
             raise PathError(
-                f"The times of waypoints must rise by {TIME_TOLERANCE:g} s or more: waypoint {number + 1} (counted from 0) is at "
-                f"{times[number + 1]!r} s, the one before at {times[number]!r} s."
+                f"The times of waypoints must rise by {TIME_TOLERANCE:g} s to {LONGEST_STEP:g} s: waypoint {number + 1} (counted "
+                f"from 0) is at {shown([times[number + 1]])} s, the one before at {shown([times[number]])} s."
             )
     return steps
 
@@ -105,8 +107,11 @@ def _columns(rows: Rows, count: int, joints: int, name: str) -> list[list[float]
             raise PathError(
                 f"Row {number} (counted from 0) of the {name} has {len(row)} values. Try: {wanted}, one for each joint."
             )
-        if not all(math.isfinite(value) for value in row):
-            raise PathError(f"Row {number} (counted from 0) of the {name} has a value that is no finite number: {list(row)}.")
+        if not all(map(is_number, row)):
+            raise PathError(
+                f"Row {number} (counted from 0) of the {name} has a value that is no finite number up to {LARGEST:g}: "
+                f"{shown(row)}."
+            )
     return [[float(row[joint]) for row in rows] for joint in range(wanted)]
 
 

@@ -45,7 +45,8 @@ class JointLimits:
     jerk: float | None = None
 
     def __post_init__(self) -> None:
-        if self.lowest is not None and self.highest is not None and not self.lowest < self.highest:
+        lowest, highest = self.range
+        if not lowest < highest:
             raise PathError(f"The lowest position must be below the highest one; they are {self.lowest!r} and {self.highest!r}.")
         for name, limit in (("speed", self.speed), ("acceleration", self.acceleration), ("jerk", self.jerk)):
             if limit is not None and not limit > 0.0:

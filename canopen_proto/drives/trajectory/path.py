@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple, TypeAlias, final
 
 from canopen_proto.compiling import mypyc_attr
@@ -26,6 +26,9 @@ TIME_TOLERANCE: Final = 1e-9
 """By how much the durations of two joints may differ: in s, and as a part of durations above 1 s. Sums of floats need less."""
 POSITION_TOLERANCE: Final = 1e-8
 """How far apart two segments may be at their knot: in the user's unit, and as a part of positions above 1."""
+LARGEST: Final = 1e100
+"""No position, and no coefficient, is larger. So nothing that is calculated of a path becomes infinite, or no number: that would
+be above no limit."""
 
 
 @mypyc_attr(native_class=False)
@@ -36,7 +39,8 @@ class PathError(LocalProtocolError, ValueError):
 class Segment(NamedTuple):
     """A piece of one joint's path: the sum of `coefficients[k]` times the k-th power of the time since its own start.
 
-    duration: in seconds, above 0. coefficients: one to six finite numbers; the first one is the position at the start.
+    duration: in seconds, above 0. coefficients: one to six finite numbers; the first one is the position at the start. The sum
+    of the amounts of their terms is LARGEST at most.
     """
 
     duration: float
@@ -135,9 +139,12 @@ def _pieces(joint: int, row: Sequence[Segment]) -> list[Piece]:
     begin = 0.0
     end = math.nan
     for number, (duration, coefficients) in enumerate(row):
-        if not (0.0 < duration < math.inf and 1 <= len(coefficients) <= MAX_DEGREE + 1 and all(map(math.isfinite, coefficients))):
+        if not (0.0 < duration < math.inf and 1 <= len(coefficients) <= MAX_DEGREE + 1 and all(map(is_number, coefficients))):
             raise _no_segment(joint, number, begin, duration, coefficients)
         c0, c1, c2, c3, c4, c5 = (*map(float, coefficients), *_NONE[len(coefficients) :])
+        t = max(duration, 1.0)
+        if abs(c0) + t * (abs(c1) + t * (abs(c2) + t * (abs(c3) + t * (abs(c4) + t * abs(c5))))) > LARGEST:
+            raise PathError(f"{_name_of(joint, number, begin)} goes beyond {LARGEST:g}. Try: the unit of the joint, and seconds.")
         if number and abs(c0 - end) > POSITION_TOLERANCE * max(1.0, abs(end)):
             raise PathError(
                 f"{_name_of(joint, number, begin)} starts at {c0!r}, but the segment before ends at {end!r}. "
@@ -158,7 +165,20 @@ def _no_segment(joint: int, number: int, begin: float, duration: float, coeffici
         return PathError(
             f"{where} has {len(coefficients)} coefficients. Try: 1 to {MAX_DEGREE + 1}, the position at its start first."
         )
-    return PathError(f"{where} has a coefficient that is no finite number: {tuple(coefficients)}.")
+    return PathError(f"{where} has a coefficient that is no finite number up to {LARGEST:g}: ({shown(coefficients)}).")
+
+
+def is_number(value: float) -> bool:
+    """Return whether a value is a finite number up to LARGEST. value: an int of any size, too."""
+    return -LARGEST <= value <= LARGEST
+
+
+def shown(values: Iterable[float]) -> str:
+    """Return numbers as text. Python writes no int of more than 4300 digits: a very large one is only described."""
+    return ", ".join([
+        f"a whole number of {value.bit_length()} bits" if isinstance(value, int) and not is_number(value) else repr(value)
+        for value in values
+    ])  # fmt: skip
 
 
 def _name_of(joint: int, number: int, begin: float) -> str:

@@ -364,8 +364,9 @@ class BlockingDevice(Twin[Device]):
     set-points, once `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. modes: 0x6502, as read for it. following:
     whether it follows its set-points. limits: for its set-points; the drive's own are read by `Chain.initialise`, and each time
     that it begins to follow set-points. last_look: what the drive showed when its chain was stopped, if it had no power then.
-    heartbeat_missed_at: when it last told (EMCY 0x8130) that a heartbeat, or a guarding request, did not come in time; it takes
-    that back once one comes, so `emcy` may not show it.
+    entry: its place in a machine file ("joints.arm1") and the name of that file; None if it is made of none. heartbeat_missed_at:
+    when it last told (EMCY 0x8130) that a heartbeat, or a guarding request, did not come in time; it takes that back once one
+    comes, so `emcy` may not show it.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
@@ -415,6 +416,11 @@ class BlockingDevice(Twin[Device]):
     def last_look(self) -> DriveView | None:
         """As of the async Device; see the text of this class."""
         return self._inner.last_look
+
+    @property
+    def entry(self) -> tuple[str, str] | None:
+        """As of the async Device; see the text of this class."""
+        return self._inner.entry
 
     @property
     def emcy(self) -> EmcyReceived | None:

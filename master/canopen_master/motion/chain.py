@@ -197,6 +197,8 @@ class Chain(Moving):
         member.require_idle("initialise")
         if (others := self._others()) and participant.sync_period != period:
             raise other_cycle(self.name, cycle, participant.sync_period, [other.name for other in others])
+        for node in self._nodes:
+            node.begin_use()
         member.forget_stop()
         stops = member.command.stops
         await member.for_all("initialise", lambda device: contact(device, settings))

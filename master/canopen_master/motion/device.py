@@ -37,8 +37,9 @@ class Device:
     `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. modes: 0x6502, as read for it. following: whether it
     follows its set-points. limits: for its set-points; the drive's own are read by `Chain.initialise`, and each time
     that it begins to follow set-points. last_look: what the drive showed when its chain was stopped, if it had no power then.
-    heartbeat_missed_at: when it last told (EMCY 0x8130) that a heartbeat, or a guarding request, did not come in time; it takes
-    that back once one comes, so `emcy` may not show it.
+    entry: its place in a machine file ("joints.arm1") and the name of that file; None if it is made of none. heartbeat_missed_at:
+    when it last told (EMCY 0x8130) that a heartbeat, or a guarding request, did not come in time; it takes that back once one
+    comes, so `emcy` may not show it.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
@@ -57,6 +58,7 @@ class Device:
         self.limits = limits_of(axis)
         node.leave_pdos()  # those of a drive are its chain's business
         self.last_look: DriveView | None = None
+        self.entry: tuple[str, str] | None = None
         self._occupant: Occupant | None = None  # while it follows set-points
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None

@@ -31,7 +31,7 @@ from canopen_master.errors import (
 )
 from canopen_master.motion.device import Device
 from canopen_master.motion.member import Member
-from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin
+from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin, source_of
 from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
@@ -119,6 +119,9 @@ class Moving:
         limit.
         """
         from canopen_master.trajectories.point_to_point import point_to_point
+        from canopen_master.trajectories.scaled_joints import check_share
+
+        check_share("speed", speed)
 
         def planned(start: PathPoint) -> Path:
             with self._names_joints():
@@ -160,8 +163,10 @@ class Moving:
         self, what: str, speed: float, renew_within: float | None
     ) -> AsyncIterator[tuple[TargetStream, Callable[[], None]]]:
         from canopen_master.trajectories.point_to_point import MARGIN
+        from canopen_master.trajectories.scaled_joints import check_share
         from canopen_master.trajectories.target_stream import TargetStream
 
+        check_share("speed", speed)
         await self._begin_following(what)
         self._require_movable(what)
         renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))
@@ -264,11 +269,14 @@ class Moving:
 
     @contextmanager
     def _names_joints(self) -> Iterator[None]:
-        """Let an error name the joint by its name."""
+        """Let an error name the joint by its name, and say where its limit comes from."""
         try:
             yield
         except PlanRefusedError as error:
             error.name_joint(self._names)
+            if error.joint is not None and error.limit is not None:
+                source = source_of(self._devices[error.joint], "position", error.limit)
+                error.seen += f": {source}" if source else ""
             raise
 
     @property

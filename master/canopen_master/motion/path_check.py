@@ -13,6 +13,7 @@ from typing import Final, TypeVar
 from canopen_master.errors import PathRefusedError, with_names
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_motion import LONGEST_STOP
+from canopen_master.motion.set_point_check import setting_of
 from canopen_proto.drives.trajectory import JointLimits, LimitViolation, Path, PathError, PathPoint, first_violation
 from canopen_proto.drives.trajectory.limit_check import first_violation_in_steps
 from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps
@@ -126,7 +127,7 @@ def _check_velocities(
 def beyond_limit(device: Device, violation: LimitViolation) -> PathRefusedError:
     """Return the error for a path beyond a limit of this joint."""
     kind, unit = violation.kind, _UNITS[violation.kind]
-    source = _source_of(device, kind, violation.limit)
+    source = source_of(device, kind, violation.limit)
     return PathRefusedError(
         f"the path takes {device.name} beyond its limit of {kind} at {violation.time:.6g} s",
         device.name,
@@ -135,16 +136,27 @@ def beyond_limit(device: Device, violation: LimitViolation) -> PathRefusedError:
         value=violation.value,
         limit=violation.limit,
         seen=f"{kind} {violation.value:.6g}{unit}, its limit is {violation.limit:.6g}{unit}: {source}",
-        tries=(
-            "a path that takes longer, or a smoother one",
-            "larger limits, if the joint may do more: AxisSettings(max_...)",
-        ),
+        tries=_tries(device, violation, source),
     )
 
 
-def _source_of(device: Device, kind: str, value: float) -> str:
+def _tries(device: Device, violation: LimitViolation, source: str) -> tuple[str, ...]:
+    """Return what to try. source: of the limit, in words."""
+    kind = violation.kind
+    is_of_drive = source.endswith("of the drive")
+    if kind != "position":
+        where = source if is_of_drive and source.startswith("0x6081") else setting_of(device, f"max_{kind}")
+        return "a path that takes longer, or a smoother one", f"a larger limit, if the joint may do more: {where}"
+    nearer = "a path within the position limits of the joint: `path_limits` tells them"
+    if source.endswith("can hold"):
+        return (nearer,)
+    where = source if is_of_drive else setting_of(device, "max_position" if violation.value > violation.limit else "min_position")
+    return nearer, f"a wider limit, if the joint may go there: {where}"
+
+
+def source_of(device: Device, kind: str, value: float) -> str:
     """Return where a limit comes from, in words. value: the limit."""
     own = device.limits
     if kind == "position":
-        return next((each.source for each in (own.lowest, own.highest) if each is not None and each.value == value), "")
+        return next((each.source for each in own.ends_of_paths if each is not None and each.value == value), "")
     return {"speed": own.speed, "acceleration": own.max_acceleration, "jerk": own.max_jerk}[kind].source

@@ -10,9 +10,9 @@ from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drives.axis.limits import Excess
 from canopen_proto.machine import LocalProtocolError, Time
 
-NO_SCALE = ("give its scale: AxisSettings(counts_per_unit=...) in `axes`, 180_000 / math.pi for millidegrees on the wire",)
+NO_SCALE = "give its scale: {}, 180_000 / math.pi for millidegrees on the wire"
+FASTER = "a larger max_speed, if it may go as fast as that: {}; `set_max_speed` of `direct`"
 FINER = "a finer path, or more `cycles`"
-FASTER = "a larger max_speed, if it may go as fast as that: AxisSettings(max_speed=...) in `axes`; `set_max_speed` of `direct`"
 NARROWER = "a path within the limits of the joint: its `limits` tells them"
 
 
@@ -24,7 +24,12 @@ def check_set_point(device: Device, start: float, target: float, time: Time) -> 
     """
     axis = device.axis
     if not axis.scale.is_known:
-        raise refused(device, target, "the joint has no scale: its unit is not known", NO_SCALE)
+        raise refused(
+            device,
+            target,
+            "the joint has no scale: its unit is not known",
+            (NO_SCALE.format(setting_of(device, "counts_per_unit")),),
+        )
     if not math.isfinite(target):
         raise refused(device, target, "it is not a finite number")
     try:
@@ -40,7 +45,7 @@ def check_limits(device: Device, start: float, target: float, time: Time) -> Non
     """As `check_set_point`, for a set-point that is known to fit the drive's object."""
     excess = device.limits.excess(start, target, time)
     if excess is not None:
-        raise refused(device, target, *_words(excess, start))
+        raise refused(device, target, *_words(device, excess, start))
 
 
 def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = ()) -> SetPointRefusedError:
@@ -48,10 +53,18 @@ def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = (
     return SetPointRefusedError(f"set-point {target} of {device.name} was refused", device.name, seen, tries)
 
 
-def _words(excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:
+def setting_of(device: Device, key: str) -> str:
+    """Return where a field of the joint's AxisSettings is given, for advice: in its machine file, or else in a program."""
+    return f"AxisSettings({key}=...) in `axes`" if device.entry is None else f"{device.entry[0]}.{key} in {device.entry[1]}"
+
+
+def _words(device: Device, excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:
     """`seen` and `tries` of the error."""
     limit, source = f"{excess.limit.value:.6g}", excess.limit.source
     if excess.is_speed:
-        return f"from {start:.6g} that is {excess.value:.6g} per second, more than {limit}: {source}", (FINER, FASTER)
+        return f"from {start:.6g} that is {excess.value:.6g} per second, more than {limit}: {source}", (
+            FINER,
+            FASTER.format(setting_of(device, "max_speed")),
+        )
     where = "above" if excess.value > excess.limit.value else "below"
     return f"it is {where} {limit}: {source}", (NARROWER,)

@@ -65,7 +65,7 @@ def scaled_joints(
     if not limits:
         raise PlanRefusedError("a motion needs at least one joint", seen="no limits were given")
     _check_part("margin", margin, 0.0 <= margin < 1.0, "from 0 to below 1")
-    _check_part("speed_factor", speed_factor, 0.0 < speed_factor <= 1.0, "above 0 and at most 1")
+    check_share("speed_factor", speed_factor)
     for values, kind in zip(start, ("position", "velocity", "acceleration"), strict=True):
         check_values(values, len(limits), f"{kind} at the start")
     joints = []
@@ -135,6 +135,11 @@ def ruckig_refused(error: Exception, task: str) -> PlanRefusedError:
         cause="limits or a state of motion that are many orders of magnitude apart",
         tries=("limits that belong to each other: full acceleration within 10 s, full speed within minutes",),
     )
+
+
+def check_share(name: str, share: float) -> None:
+    """Raise PlanRefusedError unless this is a share of the speed limits: above 0, at most 1. name: of the caller's parameter."""
+    _check_part(name, share, 0.0 < share <= 1.0, "above 0 and at most 1")
 
 
 def _check_part(name: str, value: float, is_valid: bool, needed: str) -> None:
