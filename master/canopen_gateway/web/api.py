@@ -320,8 +320,11 @@ ROUTES: Final[Sequence[tuple[str, str, Handler]]] = (
 
 def web_app(api: WebApi) -> Starlette:
     """Return the application, without the guard that has to stand in front of it."""
+    paths: dict[str, dict[str, Callable[[Request], Awaitable[Response]]]] = {}
+    for method, path, handler in ROUTES:
+        paths.setdefault(path, {})[method] = partial(handler, api)
     routes: list[Route | WebSocketRoute] = [
-        Route(path, partial(_handled, partial(handler, api)), methods=[method]) for method, path, handler in ROUTES
+        Route(path, partial(_handled, handlers), methods=[*handlers]) for path, handlers in paths.items()
     ]
     routes.append(WebSocketRoute(f"{API}/live", api.live))
     for name, (content, kind) in page_files().items():
@@ -329,10 +332,10 @@ def web_app(api: WebApi) -> Starlette:
     return Starlette(routes=routes, exception_handlers={HTTPException: _not_served})
 
 
-async def _handled(handler: Callable[[Request], Awaitable[Response]], request: Request) -> Response:
-    """Serve a request; an error becomes an answer. The gateway and its master go on, whatever it is."""
+async def _handled(handlers: Mapping[str, Callable[[Request], Awaitable[Response]]], request: Request) -> Response:
+    """Serve a request; an error becomes an answer. The gateway and its master go on, whatever it is. handlers: by method."""
     try:
-        return await handler(request)
+        return await handlers["GET" if request.method == "HEAD" else request.method](request)
     except Exception as error:
         status = status_of(error)
         if status == 500:
@@ -344,7 +347,9 @@ async def _handled(handler: Callable[[Request], Awaitable[Response]], request: R
 async def _not_served(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
     text = {404: "there is no such path", 405: "this path has no such method"}.get(status, "it cannot be served")
-    return _json({"error": {"code": "", "text": text, "details": [f"see: {API}/openapi.json"]}}, status)
+    answer = _json({"error": {"code": "", "text": text, "details": [f"see: {API}/openapi.json"]}}, status)
+    answer.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # `Allow`
+    return answer
 
 
 async def _file(content: bytes, kind: str, request: Request) -> Response:

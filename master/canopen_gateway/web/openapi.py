@@ -8,6 +8,22 @@ from typing import Any, Final
 
 from canopen_gateway.nmt_words import NMT_COMMANDS
 from canopen_gateway.traffic.network import NetworkData
+from canopen_gateway.web.answers import (
+    AboutData,
+    BusData,
+    ChainData,
+    DevicePdoData,
+    ErrorData,
+    HaltedData,
+    LeaseData,
+    NodeData,
+    ObjectData,
+    SentData,
+    StateData,
+    ValueData,
+    ViewData,
+    WrittenData,
+)
 from canopen_gateway.web.schemas import schema_of
 
 _PARAMETERS: Final = {
@@ -23,8 +39,26 @@ _QUERIES: Final = {
         ("frames", "How many frames of each bus at most, the last ones."),
     ),
 }
-_ANSWERS: Final = {"/network": NetworkData}
-"""Answers with a type, by the last part of the path."""
+_ANSWERS: Final[dict[str, Any]] = {
+    "/state": StateData,
+    "/buses": list[BusData],
+    "/chains": list[ChainData],
+    "/lease": LeaseData,
+    "/openapi.json": dict[str, Any],
+    "/halt": HaltedData,
+    "/nodes": list[NodeData],
+    "/scan": list[NodeData],
+    "/network": NetworkData,
+    "/nmt": SentData,
+    "/{node}": NodeData,
+    "/about": AboutData,
+    "/drive": ViewData,
+    "/pdos": list[DevicePdoData],
+    "/objects": list[ObjectData],
+}
+"""Types of the answers in JSON, by the last part of the path. Those of an object differ by method."""
+_TEXTS: Final = {"/events": "text/event-stream", "/trace": "text/plain", "/metrics": "text/plain"}
+"""Media types of the answers that are no JSON."""
 _BODIES: Final = {
     "/nmt": {"application/json": {"schema": {"type": "object", "properties": {"command": {"enum": list(NMT_COMMANDS)}}}}},
     "/{object}": {
@@ -43,13 +77,19 @@ _ERRORS: Final = {
     "401": "The token is missing.",
     "403": "Not allowed: by --allow, or the request came from a foreign page.",
     "404": "There is no such net, node, object or path.",
+    "405": "The path has no such method.",
+    "408": "The body did not come in time.",
     "409": "The device refused, or somebody else moves the machine.",
     "413": "The body is too long.",
     "421": "The door has not the name that was asked for.",
+    "500": "The gateway has failed at this request.",
     "501": "It needs the computer that has the bus, and this is a page over a fleet.",
     "503": "The gateway is full, or the bus is away.",
     "504": "The device is silent.",
 }
+_OF_ALL: Final = frozenset({"401", "403", "405", "408", "413", "421", "500", "503"})
+_ON_THE_BUS: Final = frozenset({"/network", "/trace", "/drive", "/pdos", "/scan", "/metrics", "/nmt"})
+"""What a page over a fleet has not, or not all of it."""
 
 
 def description(routes: Iterable[tuple[str, str, str]]) -> dict[str, Any]:
@@ -68,23 +108,7 @@ def description(routes: Iterable[tuple[str, str, str]]) -> dict[str, Any]:
         },
         "components": {
             "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
-            "schemas": {
-                **schemas,
-                "Error": {
-                    "type": "object",
-                    "properties": {
-                        "error": {
-                            "type": "object",
-                            "properties": {
-                                "code": {"type": "string", "description": "Such as CO202: docs/errors.md."},
-                                "text": {"type": "string"},
-                                "details": {"type": "array", "items": {"type": "string"}},
-                                "abort": {"type": "string", "description": "The abort code of the device, in hexadecimal."},
-                            },
-                        }
-                    },
-                },
-            },
+            "schemas": schemas,
         },
         "security": [{"token": []}],
         "paths": paths,
@@ -100,14 +124,36 @@ def _operation(method: str, path: str, text: str, schemas: dict[str, Any]) -> di
     ending = path[path.rindex("/") :]
     for query, about in _QUERIES.get(ending, ()) if method == "GET" else ():
         parameters.append({"name": query, "in": "query", "required": False, "description": about, "schema": {"type": "string"}})
-    failed = {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}}
-    responses: dict[str, Any] = {"200": {"description": "Done."}}
-    if ending in _ANSWERS:
-        responses["200"]["content"] = {"application/json": {"schema": schema_of(_ANSWERS[ending], schemas)}}
-    if ending == "/trace":
-        responses["200"]["content"] = {"text/plain": {"schema": {"type": "string"}}}
-    responses |= {status: {"description": about, **failed} for status, about in _ERRORS.items()}
+    failed = {"content": {"application/json": {"schema": schema_of(ErrorData, schemas)}}}
+    responses: dict[str, Any] = {"200": {"description": "Done.", "content": _answer(method, ending, schemas)}}
+    responses |= {status: {"description": _ERRORS[status], **failed} for status in sorted(_statuses(method, path, ending))}
     operation: dict[str, Any] = {"summary": text.strip(), "parameters": parameters, "responses": responses}
     if method == "PUT":
         operation["requestBody"] = {"required": True, "content": _BODIES[ending]}
     return operation
+
+
+def _answer(method: str, ending: str, schemas: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a good answer, by its media types."""
+    if ending in _TEXTS:
+        return {_TEXTS[ending]: {"schema": {"type": "string"}}}
+    if ending != "/{object}":
+        return {"application/json": {"schema": schema_of(_ANSWERS[ending], schemas)}}
+    if method == "PUT":
+        return {"application/json": {"schema": schema_of(WrittenData, schemas)}}
+    octets = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    return {"application/json": {"schema": schema_of(ValueData, schemas)}} | octets
+
+
+def _statuses(method: str, path: str, ending: str) -> set[str]:
+    """Return the statuses of the errors that an operation may end with."""
+    found = set(_OF_ALL)
+    if "{net}" in path:
+        found |= {"404", "409", "504"}
+    if ending == "/halt":
+        found |= {"409", "504"}
+    if method == "PUT" or ending in _QUERIES:
+        found.add("400")
+    if ending in _ON_THE_BUS:
+        found.add("501")
+    return found
