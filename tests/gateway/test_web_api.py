@@ -93,7 +93,17 @@ async def test_a_drive_and_why_it_does_not_move() -> None:
         drive = await world.get("/1/3/drive")
         assert drive["state"] == "switch on disabled"
         assert drive["reasons"][0] == {"what": "it is not enabled: switch on disabled", "remedy": "enable it"}
-        assert (await world.http.get("/api/v1/1/3/drive?axis=300")).status_code == 404
+
+
+@virtual_time
+async def test_an_axis_that_no_node_has_is_refused_by_the_axes_that_there_are() -> None:
+    async with web(3) as world:
+        for text in ("x", "-1", "8", "300", "", "1.0", "%C2%B2"):
+            answer = await world.http.get(f"/api/v1/1/3/drive?axis={text}")
+            assert answer.status_code == 400, text
+            assert "a node has the axes 0 to 7" in answer.json()["error"]["text"]
+        axis = (await world.get("/openapi.json"))["paths"]["/api/v1/{net}/{node}/drive"]["get"]["parameters"][-1]
+        assert axis["schema"] == {"type": "integer", "minimum": 0, "maximum": 7}
 
 
 @virtual_time

@@ -38,7 +38,7 @@ from canopen_gateway.errors import (
     NotOverFleetError,
 )
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import find_node
+from canopen_gateway.places import find_axis, find_node
 from canopen_gateway.plain_data import (
     Plain,
     error_data,
@@ -130,7 +130,7 @@ class WebApi:
     async def drive(self, request: Request) -> Response:
         """A drive: read, with the reasons why it does not move."""
         service = self.subject.machine("the view of an axis")
-        axis = find_node(request.query_params.get("axis", "0"), least=0)
+        axis = find_axis(request.query_params.get("axis", "0"))
         return _json(view_data(await service.look_at_drive(*self._node(request), axis)))
 
     async def about(self, request: Request) -> Response:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from canopen_gateway.nmt_words import NMT_COMMANDS
 from canopen_gateway.traffic.network import NetworkData
+from canopen_gateway.traffic.ring import CAPACITY
 from canopen_gateway.web.answers import (
     AboutData,
     BusData,
@@ -25,18 +26,19 @@ from canopen_gateway.web.answers import (
     WrittenData,
 )
 from canopen_gateway.web.schemas import schema_of
+from canopen_proto.drives.cia402.axes import MAX_AXES
 
 _PARAMETERS: Final = {
     "net": "A bus: its number, from 1, or its name; over a fleet SITE:BUS.",
     "node": "A node-ID, 1 to 127.",
     "object": "An object: a name (statusword), or index and subindex (6041:00).",
 }
-_QUERIES: Final = {
-    "/objects": (("search", "Only objects whose name or place has this text."),),
-    "/drive": (("axis", "The number of the axis, from 0."),),
+_QUERIES: Final[dict[str, tuple[tuple[str, str, dict[str, Any]], ...]]] = {
+    "/objects": (("search", "Only objects whose name or place has this text.", {"type": "string"}),),
+    "/drive": (("axis", "The number of the axis, from 0.", {"type": "integer", "minimum": 0, "maximum": MAX_AXES - 1}),),
     "/trace": (
-        ("seconds", "How far back from now. By default all that is there."),
-        ("frames", "How many frames of each bus at most, the last ones."),
+        ("seconds", "How far back from now. By default all that is there.", {"type": "number", "minimum": 0}),
+        ("frames", "How many frames of each bus at most, the last ones.", {"type": "integer", "minimum": 0, "maximum": CAPACITY}),
     ),
 }
 _ANSWERS: Final[dict[str, Any]] = {
@@ -122,8 +124,8 @@ def _operation(method: str, path: str, text: str, schemas: dict[str, Any]) -> di
         for name in names
     ]
     ending = path[path.rindex("/") :]
-    for query, about in _QUERIES.get(ending, ()) if method == "GET" else ():
-        parameters.append({"name": query, "in": "query", "required": False, "description": about, "schema": {"type": "string"}})
+    for query, about, schema in _QUERIES.get(ending, ()) if method == "GET" else ():
+        parameters.append({"name": query, "in": "query", "required": False, "description": about, "schema": schema})
     failed = {"content": {"application/json": {"schema": schema_of(ErrorData, schemas)}}}
     responses: dict[str, Any] = {"200": {"description": "Done.", "content": _answer(method, ending, schemas)}}
     responses |= {status: {"description": _ERRORS[status], **failed} for status in sorted(_statuses(method, path, ending))}
