@@ -88,6 +88,18 @@ async def test_what_is_wrong_silent_or_refused_says_so() -> None:
 
 
 @virtual_time
+async def test_a_number_given_as_text_is_refused_with_the_number_that_may_be_meant() -> None:
+    async with web(3, allow="write") as world:
+        before = (await world.get("/1/3/objects/1017"))["value"]
+        for text in ("500", "0x1F4"):
+            status, answer = await world.put("/1/3/objects/1017", value=text)
+            assert status == 400
+            assert answer["error"]["text"].endswith("a number is expected; is 500 meant?")
+        assert (await world.put("/1/3/objects/1017", value="soon"))[0] == 400
+        assert (await world.get("/1/3/objects/1017"))["value"] == before
+
+
+@virtual_time
 async def test_a_drive_and_why_it_does_not_move() -> None:
     async with web(3) as world:
         drive = await world.get("/1/3/drive")

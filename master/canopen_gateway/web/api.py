@@ -56,7 +56,7 @@ from canopen_master import BusError, MasterClosedError, MasterError, SdoTimeoutE
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
 from canopen_master.plain_text import clean, json_text
 from canopen_proto import LocalProtocolError, indices
-from canopen_proto.dictionary.model import NotInDictionaryError
+from canopen_proto.dictionary.model import ConstantNotFoundError, NotInDictionaryError
 from canopen_proto.procedures import ProcedureError
 
 API: Final = "/api/v1"
@@ -83,6 +83,7 @@ _STATUS: Final[Sequence[tuple[type[Exception], int]]] = (
     (MasterClosedError, 503),
     (MasterError, 409),
     (ProcedureError, 504),
+    (ConstantNotFoundError, 400),  # the value, and not the path
     (NotInDictionaryError, 404),
     (LocalProtocolError, 400),
     (ValueError, 400),
