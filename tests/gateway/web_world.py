@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -52,11 +52,17 @@ class WebClients:
         return answer.status_code, answer.json()
 
     async def raw(
-        self, method: str, path: str, receive: Callable[[], Any], took: Callable[[Any], None], hangs: bool = False
+        self,
+        method: str,
+        path: str,
+        receive: Callable[[], Any],
+        took: Callable[[Any], None],
+        hangs: bool = False,
+        more: Iterable[tuple[bytes, bytes]] = (),
     ) -> None:
         """A request whose body comes as `receive` gives it. took: is given what the door sends. hangs: the client takes
-        nothing of it."""
-        headers = [(b"host", b"localhost:8402"), (b"authorization", BEARER["authorization"].encode())]
+        nothing of it. more: headers."""
+        headers = [(b"host", b"localhost:8402"), (b"authorization", BEARER["authorization"].encode()), *more]
         scope = {
             "type": "http", "method": method, "path": path, "raw_path": path.encode(), "root_path": "", "query_string": b"",
             "headers": headers, "client": ("127.0.0.1", 5), "server": ("127.0.0.1", 8402), "scheme": "http",

@@ -242,27 +242,42 @@ class WebApi:
     # ---- streams, and about this interface ----
 
     async def events(self, request: Request) -> Response:
-        """Events as they come, for scripts that only read (server-sent events); the last ones first."""
-        return StreamingResponse(self._event_lines(), media_type="text/event-stream")
+        """Events as they come, for scripts that only read (server-sent events). First come the last ones, marked by "past": all
+        that are kept, or those after `Last-Event-ID`."""
+        seen = self._number_of(request.headers.get("last-event-id", ""))
+        return StreamingResponse(self._event_lines(seen), media_type="text/event-stream")
 
-    async def _event_lines(self) -> AsyncIterator[str]:
-        put, get = trio.open_memory_channel[str](EVENTS_WAITING)
+    def _number_of(self, event_id: str) -> int:
+        """Return the number of an event by its id; 0 for one of another start of the door, or nonsense."""
+        run, _, number = event_id.rpartition("-")
+        if run != self.hub.run_name or not (number.isascii() and number.isdecimal() and len(number) < 16):
+            return 0
+        return int(number)
+
+    async def _event_lines(self, seen: int) -> AsyncIterator[str]:
+        """Yield the events after a number: those that are kept, then those that come. The numbers have no gap but what was
+        dropped."""
+        put, get = trio.open_memory_channel[tuple[int, str]](EVENTS_WAITING)
 
         def tell(text: str) -> None:
             if text.startswith('{"k": "event"'):
                 try:
-                    put.send_nowait(text)
+                    put.send_nowait((self.hub.told, text))
                 except trio.WouldBlock:
                     LOGGER.debug("a reader of events is slow, and misses one")
 
-        last = list(self.hub.events)
+        def lines(number: int, text: str) -> str:
+            return f"id: {self.hub.run_name}-{number}\ndata: {text}\n\n"
+
+        last = list(enumerate(self.hub.events, self.hub.told - len(self.hub.events) + 1))
         end = self.hub.listen(tell)
         try:
-            for event in last:
-                yield f"data: {json_text({'k': 'event', **event})}\n\n"
+            for number, event in last:
+                if number > seen:
+                    yield lines(number, json_text({"k": "event", "past": True, **event}))
             yield ": now\n\n"
-            async for text in get:
-                yield f"data: {text}\n\n"
+            async for number, text in get:
+                yield lines(number, text)
         finally:
             end()
 

@@ -126,10 +126,15 @@ def _operation(method: str, path: str, text: str, schemas: dict[str, Any]) -> di
     ending = path[path.rindex("/") :]
     for query, about, schema in _QUERIES.get(ending, ()) if method == "GET" else ():
         parameters.append({"name": query, "in": "query", "required": False, "description": about, "schema": schema})
+    if ending == "/events":
+        about = "The id of the last event that was heard: only those after it are told."
+        parameters.append(
+            {"name": "Last-Event-ID", "in": "header", "required": False, "description": about, "schema": {"type": "string"}}
+        )
     failed = {"content": {"application/json": {"schema": schema_of(ErrorData, schemas)}}}
     responses: dict[str, Any] = {"200": {"description": "Done.", "content": _answer(method, ending, schemas)}}
     responses |= {status: {"description": _ERRORS[status], **failed} for status in sorted(_statuses(method, path, ending))}
-    operation: dict[str, Any] = {"summary": text.strip(), "parameters": parameters, "responses": responses}
+    operation: dict[str, Any] = {"summary": " ".join(text.split()), "parameters": parameters, "responses": responses}
     if method == "PUT":
         operation["requestBody"] = {"required": True, "content": _BODIES[ending]}
     return operation
