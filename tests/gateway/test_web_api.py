@@ -336,6 +336,25 @@ async def test_the_network_is_what_its_description_says() -> None:
 
 
 @virtual_time
+async def test_a_search_adds_to_the_network_only_nodes_that_are_there() -> None:
+    async with web(3, 77, beats=False) as world:
+        await world.post("/1/scan")
+        assert [each["node"] for each in (await world.get("/1/network"))["nodes"] if each["name"] != "this master"] == [3, 77, 0]
+        await trio.sleep(5)
+        assert [each["node"] for each in (await world.get("/1/network"))["nodes"] if each["name"] != "this master"] == [3, 77, 0]
+
+
+@virtual_time
+async def test_a_node_that_only_ever_sent_one_frame_stays_in_the_network() -> None:
+    async with web(3) as world:
+        async with await open_transport(BUS) as wire:
+            await wire.send(Frame(0x1D5, b"\x01"))  # a TPDO of node 0x55
+        await trio.sleep(5)
+        nodes = {each["node"]: each for each in (await world.get("/1/network"))["nodes"]}
+        assert nodes[0x55]["frames_per_second"] == 0
+
+
+@virtual_time
 async def test_a_trace_is_taken_away_and_odd_numbers_are_refused() -> None:
     async with web(3) as world:
         await world.get("/1/3/objects/1000")
