@@ -27,7 +27,7 @@ from typing import Final, NoReturn
 
 from canopen_proto import indices
 from canopen_proto.compiling import mypyc_attr
-from canopen_proto.datatypes import DataType, Value, is_signed
+from canopen_proto.datatypes import DataType, Value, is_integer, is_signed
 from canopen_proto.dictionary.objects import Access as Access
 from canopen_proto.dictionary.objects import Key as Key
 from canopen_proto.dictionary.objects import Object as Object
@@ -291,13 +291,19 @@ class ObjectDictionary:
     def value_from(self, key: Key, value: Value) -> Value:
         """Return a value with a constant's name replaced by its number; any other value stays as it is.
 
-        Text for an object that holds no text must be a constant: raises ConstantNotFoundError if it is none.
+        Text for an object that holds no text must be a constant: raises ConstantNotFoundError if it is none. Its text says which
+        number may be meant, if the text is one.
         """
         if not isinstance(value, str):
             return value
         variable = self.variable(key)
-        holds_text = variable.data_type in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
-        return value if holds_text else self.constant_value(variable, value)
+        if variable.data_type in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING):
+            return value
+        number = _number_in(value) if is_integer(variable.data_type) else None
+        if number is not None and all(each.name != value for each in self.constants_of(variable)):
+            what = f"{variable.label} has no constant {value!r}"
+            raise ConstantNotFoundError(f"{what}: a number is expected; is {number} meant?")
+        return self.constant_value(variable, value)
 
     @property
     def fillers(self) -> Mapping[str, Filler]:
@@ -414,6 +420,18 @@ def _renamed(each: Object, other: ObjectDictionary) -> Object:
 
 def _fold(name: str) -> str:
     return _SEPARATORS.sub("_", name.strip()).casefold()
+
+
+def _number_in(text: str) -> int | None:
+    """Return the whole number that a text is, as 500, 0x1F4 or 007; None if it is none, or longer than a name."""
+    if len(text) > MAX_NAME_COMPARED:
+        return None
+    for base in (0, 10):
+        try:
+            return int(text, base)
+        except ValueError:  # in this base
+            continue
+    return None
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -12,9 +12,10 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from canopen_proto.compiling import mypyc_attr
+from canopen_proto.datatypes import range_of
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.gateway.answer import GatewayAnswer
-from canopen_proto.gateway.codes import GatewayCode
+from canopen_proto.gateway.codes import GatewayCode, code_text
 from canopen_proto.gateway.dialect import CANOPENNODE, Dialect
 from canopen_proto.gateway.request import (
     EVENT,
@@ -32,6 +33,8 @@ from canopen_proto.gateway.request import (
 from canopen_proto.gateway.value_types import VALUE_TYPES, TextForm, ValueType, integer_of, parse_value, typed_value
 from canopen_proto.machine import LocalProtocolError
 
+MAX_SHOWN: Final = 40
+"""Characters of a wrong word that its refusal repeats."""
 _BLANK: Final = " \t"
 _ONE_FRAME: Final = (TextForm.NUMBER, TextForm.HEXADECIMAL, TextForm.REAL, TextForm.TIME)
 """The forms of values that a PDO can carry: they have a length."""
@@ -46,11 +49,12 @@ class _Word(NamedTuple):
 
 @mypyc_attr(native_class=False)
 class _NotARequest(Exception):
-    """This line is answered by an error."""
+    """This line is answered by an error. why: what is wrong with it, for people; "" for the usual text of the code."""
 
-    def __init__(self, code: GatewayCode = GatewayCode.SYNTAX) -> None:
+    def __init__(self, code: GatewayCode = GatewayCode.SYNTAX, why: str = "") -> None:
         super().__init__(code.name)
         self.code = code
+        self.remark = f"{code_text(code)} {why}" if why else ""
 
 
 def _spellings() -> dict[tuple[str, ...], GatewayCommand]:
@@ -83,7 +87,7 @@ def parse_request(line: bytes, dialect: Dialect = CANOPENNODE) -> GatewayRequest
         sequence = number
         return _request(sequence, text, words[1:], dialect)
     except _NotARequest as refused:
-        return GatewayAnswer(sequence, code=int(refused.code))
+        return GatewayAnswer(sequence, code=int(refused.code), remark=refused.remark)
 
 
 def print_request(request: GatewayRequest, dialect: Dialect = CANOPENNODE) -> bytes:
@@ -232,16 +236,18 @@ class _Rest:
 
     def number(self, low: int, high: int) -> int:
         """Return the next word as a number within bounds."""
-        number = integer_of(self.word())
-        if number is None or not low <= number <= high:
-            raise _NotARequest
-        return number
+        word = self.word()
+        number = integer_of(word)
+        if number is None:
+            raise _refused(word, "is no number")
+        return _bounded(word, number, low, high)
 
     def value_type(self) -> ValueType:
         """Return the next word as a type."""
-        value_type = VALUE_TYPES.get(self.word().lower())
+        word = self.word()
+        value_type = VALUE_TYPES.get(word.lower())
         if value_type is None:
-            raise _NotARequest
+            raise _refused(word, "is no type")
         return value_type
 
     def all(self) -> str:
@@ -258,6 +264,24 @@ class _Rest:
             raise _NotARequest
 
 
+def _refused(text: str, why: str) -> _NotARequest:
+    """Return the refusal of a line. text: what is wrong in it."""
+    return _NotARequest(why=f"{text[:MAX_SHOWN]} {why}")
+
+
+def _bounded(word: str, number: int, low: int, high: int) -> int:
+    if not low <= number <= high:
+        raise _refused(word, f"is out of range: {low} to {high}")
+    return number
+
+
+def _why_no_value(value_type: ValueType, text: str) -> str:
+    bounds = range_of(value_type.data_type)
+    if bounds is None or integer_of(text) is None:
+        return f"is no value of {value_type.word}"
+    return f"is out of range for {value_type.word}: {bounds[0]} to {bounds[1]}"
+
+
 def _tail(
     tail: Tail, line: _Rest, numbers: list[int], dialect: Dialect
 ) -> tuple[ValueType | None, bytes, tuple[MappedValue, ...]]:
@@ -266,9 +290,10 @@ def _tail(
             return (None if line.is_empty else line.value_type()), b"", ()
         case Tail.VALUE:
             value_type = line.value_type()
-            data = parse_value(value_type, line.all(), dialect)
+            text = line.all()
+            data = parse_value(value_type, text, dialect)
             if data is None:
-                raise _NotARequest
+                raise _refused(text, _why_no_value(value_type, text))
             return value_type, data, ()
         case Tail.COUNTED:
             numbers += [line.number(0, (1 << 64) - 1) for _ in range(line.number(0, MAX_PDO_VALUES))]
@@ -307,9 +332,9 @@ def _transmission_of(word: str) -> tuple[int, int | None]:
             if name == "event" and not rest:
                 return EVENT, None
             if number is None or not 0 <= number <= most:
-                raise _NotARequest
+                break
             return (EVENT, number) if name == "event" else (number, None)
-    raise _NotARequest
+    raise _refused(word, f"is no transmission type: event, rtr, sync0 to sync{MAX_SYNC}")
 
 
 def _mapped(line: _Rest) -> MappedValue:
@@ -317,9 +342,7 @@ def _mapped(line: _Rest) -> MappedValue:
     index = subindex = 0
     number = integer_of(word)
     if number is not None:
-        if not 0 < number <= 0xFFFF:
-            raise _NotARequest
-        index, subindex = number, line.number(0, 0xFF)
+        index, subindex = _bounded(word, number, 1, 0xFFFF), line.number(0, 0xFF)
         word = line.word()
     value_type = VALUE_TYPES.get(word.lower())
     if value_type is None or value_type.form not in _ONE_FRAME:

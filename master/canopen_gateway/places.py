@@ -1,4 +1,4 @@
-"""How requests name a net, a node and an object, in a path or a message."""
+"""How requests name a net, a node, an axis and an object, in a path or a message."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, Final
 from canopen_gateway.errors import NoSuchPlaceError
 from canopen_gateway.service import GatewayService
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drives.cia402.axes import MAX_AXES
 
 _PLACE: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1,2}))?")
 
@@ -28,6 +29,13 @@ def find_node(value: Any, *, least: int = 1) -> int:
     if not isinstance(value, bool) and text.isascii() and text.isdecimal() and len(text) < 4 and least <= int(text) <= 127:
         return int(text)
     raise NoSuchPlaceError(f"{text[:40]!r} is no node-ID", seen=f"they are {least} to 127")
+
+
+def find_axis(text: str) -> int:
+    """Return the number of an axis, 0..7. text: that number. Raises ValueError."""
+    if text.isascii() and text.isdecimal() and len(text) < 4 and int(text) < MAX_AXES:
+        return int(text)
+    raise ValueError(f"{text[:40]!r} is no axis; a node has the axes 0 to {MAX_AXES - 1}")
 
 
 def find_object(dictionary: ObjectDictionary, text: str) -> tuple[int, int]:

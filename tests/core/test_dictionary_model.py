@@ -196,6 +196,20 @@ def test_what_a_caller_means(dictionary: ObjectDictionary) -> None:
         dictionary.constant_value("torque_actual_value", "x")
 
 
+@pytest.mark.parametrize(("text", "number"), [("5", 5), ("0x1F4", 500), ("-3", -3), ("007", 7)])
+def test_a_number_given_as_text_is_no_constant_and_the_error_says_which_number_may_be_meant(
+    dictionary: ObjectDictionary, text: str, number: int
+) -> None:
+    with pytest.raises(ConstantNotFoundError, match=rf"no constant '{text}': a number is expected; is {number} meant\?$"):
+        dictionary.value_from("controlword", text)
+
+
+@pytest.mark.parametrize("text", ["", "1.5", "nan", "\u00b2", "zzz", "controlword", "9" * 200, "0x" + "F" * 10_000])
+def test_a_text_that_is_no_number_of_the_object_is_a_constant_that_it_has_not(dictionary: ObjectDictionary, text: str) -> None:
+    with pytest.raises(ConstantNotFoundError, match=r"no constant '[^']*'(; there are .*)?$"):
+        dictionary.value_from("controlword", text)
+
+
 def test_a_message_shows_value_and_constants(dictionary: ObjectDictionary) -> None:
     message = dictionary.message(12, 0x6040, 0x1F, 77)
     assert message == Message(12, "controlword", 0x1F, ("start_homing", "enable_ip_mode"), 77)

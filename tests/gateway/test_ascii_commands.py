@@ -35,7 +35,7 @@ async def test_the_same_in_the_dialect_of_lely() -> None:
         assert await client.say("[1] 3 r 0x1018 1 u32") == "[1] ERROR: 104 (No default net set.)"
         assert await client.say("[2] set network 1") == "[2] OK"
         assert await client.say("[3] 3 r 0x1018 1 u32") == "[3] 0x00000332"
-        assert await client.say("[4] 3 r 0x1018 1") == "[4] ERROR: 101 (Syntax error.)"
+        assert await client.say("[4] 3 r 0x1018 1") == "[4] ERROR: 101 (Syntax error. A read needs a type)"
         assert (await client.say("[5] 3 r 0x1000 0 u8")).startswith("[5] ERROR: 06070010 (")
         assert await client.say("[6] 3 r 0x6064 0 i32") == "[6] 3000"
 
@@ -101,7 +101,9 @@ async def test_what_is_allowed_is_done() -> None:
         await trio.sleep(0.01)
         assert host.nodes[0].nmt.state is NmtState.OPERATIONAL
         assert (await client.say("[3] 3 w 0x1000 0 u32 1")).startswith("[3] ERROR:0x06010002 #")
-        assert await client.say("[4] 3 w 0x1017 0 u16 70000") == "[4] ERROR:101 #Syntax error."
+        assert await client.say("[4] 3 w 0x1017 0 u16 70000") == (
+            "[4] ERROR:101 #Syntax error. 70000 is out of range for u16: 0 to 65535"
+        )
 
 
 @virtual_time
@@ -178,7 +180,8 @@ async def test_the_gateway_itself() -> None:
         assert await client.say("[6] set sdo_block 1") == "[6] OK"
         assert await client.say("[7] set heartbeat 100") == "[7] ERROR:102 #this gateway has no node-ID there yet"
         assert "which its drives watch" in await client.say("[8] set id 127")
-        assert await client.say("[9] set id 200") == "[9] ERROR:101 #Syntax error."
+        answer = await client.say("[9] set id 200")
+        assert answer == "[9] ERROR:101 #Syntax error. 200 is out of range: 1 to 127, or 255"
 
 
 def test_the_help_names_every_command() -> None:

@@ -33,11 +33,15 @@ async def test_a_device_is_found_named_and_asked() -> None:
         assert await client.say("[5] lss_inquire_addr") == f"[5] {SHOWN} 0x00000001"
         assert await client.say("[6] lss_inquire_addr 3") == "[6] 0x00000001"
         assert await client.say("[7] lss_inquire_addr 0x5A") == "[7] 0x00000332"
-        assert await client.say("[8] lss_inquire_addr 4") == "[8] ERROR:101 #Syntax error."
+        assert await client.say("[8] lss_inquire_addr 4") == (
+            "[8] ERROR:101 #Syntax error. 4 is out of range: 0 to 3, 0x5A to 0x5D"
+        )
         assert await client.say("[9] lss_get_node") == "[9] 0xFF"
         assert await client.say("[10] lss_set_node 5") == "[10] OK"
-        assert await client.say("[11] lss_set_node 0") == "[11] ERROR:101 #Syntax error."
-        assert await client.say("[12] lss_set_node 200") == "[12] ERROR:101 #Syntax error."
+        answer = await client.say("[11] lss_set_node 0")
+        assert answer == "[11] ERROR:101 #Syntax error. 0 is out of range: 1 to 127, or 255"
+        answer = await client.say("[12] lss_set_node 200")
+        assert answer == "[12] ERROR:101 #Syntax error. 200 is out of range: 1 to 127, or 255"
         assert await client.say("[13] lss_conf_bitrate 0 5") == "[13] ERROR:503 #LSS bit rate not supported."
         assert await client.say("[14] lss_switch_glob 0") == "[14] OK"
         assert (await client.say("[15] lss_get_node")).startswith("[15] ERROR:102 #")
@@ -96,7 +100,7 @@ async def test_searches_as_lely_has_them() -> None:
 async def test_nobody_to_be_found() -> None:
     async with text_client(3, allow="lss") as (_, client):
         assert await client.say("[1] _lss_fastscan 50") == "[1] ERROR:103 #Time-out."
-        assert (await client.say("[2] _lss_fastscan 70000")) == "[2] ERROR:101 #Syntax error."
+        assert (await client.say("[2] _lss_fastscan 70000")) == ("[2] ERROR:101 #Syntax error. 70000 is out of range: 0 to 65535")
         assert await client.say("[3] lss_ident_nonconf") == "[3] ERROR:103 #Time-out."
         assert await client.say("[4] lss_activate_bitrate 100") == "[4] OK"
         assert await client.say("[5] lss_switch_glob 1") == "[5] OK"

@@ -21,7 +21,7 @@ from canopen_master import DeviceModel, open_master
 from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_drives
 from canopen_proto.nmt import NmtCommand, NmtState
 from tests.gateway.fleet_world import BUS, SITE, Bridge, bridge, free_endpoint, real_time, seen
-from tests.gateway.web_world import WebClients, page_over
+from tests.gateway.web_world import Described, WebClients, body_of, page_over
 from tests.master.world import drives
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -72,6 +72,17 @@ async def one_site(
         await seen(lambda: [each.node_id for each in shown.fleet.nodes] == sorted(node_ids))
         await shown.net(allow=sorted(set(allow.split(",")) & set(bridge_allows.split(",")) - {""}), state="there")
         yield shown, served
+
+
+@real_time
+async def test_the_paths_over_a_fleet_answer_what_the_description_says() -> None:
+    async with one_site(3, allow="write,nmt", bridge_allows="write,nmt") as (shown, _):
+        described = Described(await shown.get("/openapi.json"))
+        statuses: set[int] = set()
+        for path, methods in described.about["paths"].items():
+            for method in (each.upper() for each in methods if not path.endswith("/events")):  # which never ends
+                statuses.add(await described.ask(shown, method, path, json=body_of(method, path)))
+        assert statuses == {200, 501}
 
 
 @real_time

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -120,7 +122,9 @@ def test_a_line_and_what_it_asks_for(text: str, request_: GatewayRequest) -> Non
 )
 def test_a_line_that_is_refused_with_its_code(text: str, sequence: int, code: int) -> None:
     unclosed = '"' in text
-    assert parse_request(text.encode()) == GatewayAnswer(0 if unclosed else sequence, code=code)
+    answer = parse_request(text.encode())
+    assert isinstance(answer, GatewayAnswer)
+    assert replace(answer, remark="") == GatewayAnswer(0 if unclosed else sequence, code=code)
 
 
 @pytest.mark.parametrize("text", ["", "  ", "\r", "# comment", "   # [1] start"])
@@ -280,3 +284,39 @@ def test_the_longest_line_and_one_that_is_too_long(end: bytes) -> None:
         assert endless.feed(b"a") == []
         assert endless.pending <= 4 + len(end)
     assert endless.too_long
+
+
+@pytest.mark.parametrize(
+    ("line", "remark"),
+    [
+        ("w 0x1017 0 u16 99999", "99999 is out of range for u16: 0 to 65535"),
+        ("w 0x1017 0 i8 -129", "-129 is out of range for i8: -128 to 127"),
+        ("w 0x1017 0 x16 0x10000", "0x10000 is out of range for x16: 0 to 65535"),
+        ("w 0x1017 0 b 2", "2 is out of range for b: 0 to 1"),
+        ("w 0x1017 0 u16 soon", "soon is no value of u16"),
+        ("w 0x1017 0 r32 1,5", "1,5 is no value of r32"),
+        ("w 0x1017 0 float 1", "float is no type"),
+        ("set node 200", "200 is out of range: 0 to 127"),
+        ("r 0x1000 300 u32", "300 is out of range: 0 to 255"),
+        ("r 0x10000 0 u32", "0x10000 is out of range: 0 to 65535"),
+        ("r 0x1000 -1 u32", "-1 is out of range: 0 to 255"),
+        ("r x 0 u32", "x is no number"),
+        ("r 01 0 u32", "01 is no number"),
+        ("set rpdo 513 0x181 event 0", "513 is out of range: 1 to 512"),
+        ("set rpdo 1 0x181 event 1 0x10000 0 u8", "0x10000 is out of range: 1 to 65535"),
+        ("set rpdo 1 0x181 sync241 0", "sync241 is no transmission type: event, rtr, sync0 to sync240"),
+        ("set rpdo 1 0x181 soon 0", "soon is no transmission type: event, rtr, sync0 to sync240"),
+        ("w pdo 1 65 1", "65 is out of range: 0 to 64"),
+    ],
+)
+def test_an_error_of_syntax_says_what_is_out_of_range_and_begins_as_ever(line: str, remark: str) -> None:
+    answer = parse_request(f"[7] {line}".encode())
+    assert isinstance(answer, GatewayAnswer)
+    assert print_answer(answer) == f"[7] ERROR:101 #Syntax error. {remark}\r\n".encode()
+    assert print_answer(answer, LELY) == f"[7] ERROR: 101 (Syntax error. {remark})\n".encode()
+
+
+def test_a_long_word_of_a_client_makes_no_long_answer() -> None:
+    answer = parse_request(b"[7] r " + b"x" * 5000 + b" 0 u32")
+    assert isinstance(answer, GatewayAnswer)
+    assert len(print_answer(answer)) < 120

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import Any
 
@@ -11,9 +12,10 @@ from canopen_gateway import Limits
 from canopen_gateway.traffic.ring import CAPACITY
 from canopen_gateway.web.api import MOST_TRACES, ROUTES
 from canopen_gateway.web.guard import SEND_SECONDS
+from canopen_gateway.web.live import LOG_LENGTH
 from canopen_proto.frame import Frame
 from canopen_transports import open_transport
-from tests.gateway.web_world import web
+from tests.gateway.web_world import WebWorld, web
 from tests.master.world import BUS, arm_of, virtual_time
 
 
@@ -88,12 +90,34 @@ async def test_what_is_wrong_silent_or_refused_says_so() -> None:
 
 
 @virtual_time
+async def test_a_number_given_as_text_is_refused_with_the_number_that_may_be_meant() -> None:
+    async with web(3, allow="write") as world:
+        before = (await world.get("/1/3/objects/1017"))["value"]
+        for text in ("500", "0x1F4"):
+            status, answer = await world.put("/1/3/objects/1017", value=text)
+            assert status == 400
+            assert answer["error"]["text"].endswith("a number is expected; is 500 meant?")
+        assert (await world.put("/1/3/objects/1017", value="soon"))[0] == 400
+        assert (await world.get("/1/3/objects/1017"))["value"] == before
+
+
+@virtual_time
 async def test_a_drive_and_why_it_does_not_move() -> None:
     async with web(3) as world:
         drive = await world.get("/1/3/drive")
         assert drive["state"] == "switch on disabled"
         assert drive["reasons"][0] == {"what": "it is not enabled: switch on disabled", "remedy": "enable it"}
-        assert (await world.http.get("/api/v1/1/3/drive?axis=300")).status_code == 404
+
+
+@virtual_time
+async def test_an_axis_that_no_node_has_is_refused_by_the_axes_that_there_are() -> None:
+    async with web(3) as world:
+        for text in ("x", "-1", "8", "300", "", "1.0", "%C2%B2"):
+            answer = await world.http.get(f"/api/v1/1/3/drive?axis={text}")
+            assert answer.status_code == 400, text
+            assert "a node has the axes 0 to 7" in answer.json()["error"]["text"]
+        axis = (await world.get("/openapi.json"))["paths"]["/api/v1/{net}/{node}/drive"]["get"]["parameters"][-1]
+        assert axis["schema"] == {"type": "integer", "minimum": 0, "maximum": 7}
 
 
 @virtual_time
@@ -139,34 +163,101 @@ async def test_the_description_has_all_paths_and_each_is_served() -> None:
                 assert answer.status_code == 200, (path, answer.text)
 
 
+class EventReader:
+    """A reader of the event stream, as a browser's EventSource is one. events: id and data of each. heads: the answer's."""
+
+    def __init__(self, text: str = "") -> None:
+        self.events: list[tuple[str, dict[str, Any]]] = []
+        self._asked = False
+        self._last = [(b"last-event-id", text.encode())] if text else []
+
+    async def run(self, world: WebWorld) -> None:
+        await world.raw("GET", "/api/v1/events", self._ask, self._took, more=self._last)
+
+    async def _ask(self) -> dict[str, object]:
+        if self._asked:
+            await trio.sleep_forever()
+        self._asked = True
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    def _took(self, message: Any) -> None:
+        for block in bytes(message.get("body", b"")).decode().split("\n\n"):
+            fields = dict(line.split(": ", 1) for line in block.splitlines() if not line.startswith(":"))
+            if fields:
+                assert fields.keys() == {"id", "data"}
+                self.events.append((fields["id"], json.loads(fields["data"])))
+
+    def codes(self) -> list[str]:
+        return [data["code"] for _, data in self.events]
+
+
+async def emergency(code: int) -> None:
+    """An emergency of node 3, which is told."""
+    async with await open_transport(BUS) as wire:
+        await wire.send(Frame(0x83, code.to_bytes(2, "little") + bytes(6)))
+    await trio.sleep(0.1)
+
+
 @virtual_time
-async def test_events_as_a_stream() -> None:
-    """Server-sent events: `curl -N`. The last ones come first."""
+async def test_events_as_a_stream_tell_the_last_ones_first_and_mark_them_as_past() -> None:
+    """Server-sent events: `curl -N`."""
     async with web(3) as world, trio.open_nursery() as nursery:
-        got: list[str] = []
-        wire = await open_transport(BUS)
-        await wire.send(Frame(0x83, b"\x10\x23\x03\0\0\0\0\0"))
+        world.hub.events.clear()
+        await emergency(0x2310)
+        reader = EventReader()
+        nursery.start_soon(reader.run, world)
         await trio.sleep(0.1)
+        await emergency(0x3210)
+        assert [(data["code"], data.get("past", False)) for _, data in reader.events] == [("0x2310", True), ("0x3210", False)]
+        assert len({each for each, _ in reader.events}) == 2
+        nursery.cancel_scope.cancel()
 
-        asked = False
 
-        async def ask() -> dict[str, object]:
-            nonlocal asked
-            if asked:
-                await trio.sleep_forever()
-            asked = True
-            return {"type": "http.request", "body": b"", "more_body": False}
-
-        nursery.start_soon(
-            world.raw, "GET", "/api/v1/events", ask, lambda message: got.append(bytes(message.get("body", b"")).decode())
-        )
+@virtual_time
+async def test_a_reader_that_comes_again_is_told_what_it_has_missed_and_nothing_twice() -> None:
+    async with web(3) as world, trio.open_nursery() as nursery:
+        world.hub.events.clear()
+        first = EventReader()
+        nursery.start_soon(first.run, world)
         await trio.sleep(0.1)
-        assert '"code": "0x2310"' in "".join(got)
-        got.clear()
-        await wire.send(Frame(0x703, b"\0"))
+        for code in (0x2310, 0x2311, 0x2312):
+            await emergency(code)
+        assert first.codes() == ["0x2310", "0x2311", "0x2312"]
+        seen = first.events[1][0]
+        for text, expected in (
+            (seen, ["0x2312"]),
+            (first.events[-1][0], []),
+            ("", first.codes()),
+            (f"another-run-{seen}", first.codes()),  # of an earlier start of the door, or nonsense
+            ("2", first.codes()),
+            (seen + "9" * 5000, first.codes()),
+        ):
+            again = EventReader(text)
+            nursery.start_soon(again.run, world)
+            await trio.sleep(0.1)
+            assert again.codes() == expected, text[:40]
+        await emergency(0x2313)
+        assert again.codes()[-1] == "0x2313"
+        nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_events_that_are_kept_no_longer_leave_a_gap_in_the_ids() -> None:
+    async with web(3) as world, trio.open_nursery() as nursery:
+        world.hub.events.clear()
+        for code in range(LOG_LENGTH + 7):
+            world.hub._tell_event(BUS, {"node": 3, "kind": "emergency", "code": str(code)})
+        oldest = EventReader()
+        nursery.start_soon(oldest.run, world)
         await trio.sleep(0.1)
-        assert '"kind": "boot-up"' in "".join(got)
-        await wire.aclose()
+        numbers = [int(each.rpartition("-")[2]) for each, _ in oldest.events]
+        assert len(numbers) == LOG_LENGTH
+        assert numbers == list(range(numbers[0], numbers[0] + LOG_LENGTH))
+        run = oldest.events[0][0].rpartition("-")[0]
+        again = EventReader(f"{run}-{numbers[0] - 3}")
+        nursery.start_soon(again.run, world)
+        await trio.sleep(0.1)
+        assert again.events == oldest.events
         nursery.cancel_scope.cancel()
 
 
@@ -242,6 +333,25 @@ async def test_the_network_is_what_its_description_says() -> None:
         assert {each["pdo"] for each in pdos} >= {"TPDO 1", "RPDO 1"}
         assert (await world.get("/1/network"))["nodes"][0]["pdos"] == "the device"
         assert (await world.http.get("/api/v1/1/99/pdos")).status_code == 504
+
+
+@virtual_time
+async def test_a_search_adds_to_the_network_only_nodes_that_are_there() -> None:
+    async with web(3, 77, beats=False) as world:
+        await world.post("/1/scan")
+        assert [each["node"] for each in (await world.get("/1/network"))["nodes"] if each["name"] != "this master"] == [3, 77, 0]
+        await trio.sleep(5)
+        assert [each["node"] for each in (await world.get("/1/network"))["nodes"] if each["name"] != "this master"] == [3, 77, 0]
+
+
+@virtual_time
+async def test_a_node_that_only_ever_sent_one_frame_stays_in_the_network() -> None:
+    async with web(3) as world:
+        async with await open_transport(BUS) as wire:
+            await wire.send(Frame(0x1D5, b"\x01"))  # a TPDO of node 0x55
+        await trio.sleep(5)
+        nodes = {each["node"]: each for each in (await world.get("/1/network"))["nodes"]}
+        assert nodes[0x55]["frames_per_second"] == 0
 
 
 @virtual_time

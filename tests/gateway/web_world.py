@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Callable
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import httpx
+import jsonschema
 import trio
 
 from canopen_gateway import GatewayService, Limits
@@ -24,6 +26,7 @@ TOKEN = "a-token-for-these-tests"
 ORIGIN = "http://localhost:8402"
 BEARER = {"authorization": f"Bearer {TOKEN}"}
 COOKIE = {"cookie": f"canopen-8402={TOKEN}"}
+BODIES = {"/nmt": {"command": "preoperational"}, "/{object}": {"value": 300}}
 NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -49,11 +52,17 @@ class WebClients:
         return answer.status_code, answer.json()
 
     async def raw(
-        self, method: str, path: str, receive: Callable[[], Any], took: Callable[[Any], None], hangs: bool = False
+        self,
+        method: str,
+        path: str,
+        receive: Callable[[], Any],
+        took: Callable[[Any], None],
+        hangs: bool = False,
+        more: Iterable[tuple[bytes, bytes]] = (),
     ) -> None:
         """A request whose body comes as `receive` gives it. took: is given what the door sends. hangs: the client takes
-        nothing of it."""
-        headers = [(b"host", b"localhost:8402"), (b"authorization", BEARER["authorization"].encode())]
+        nothing of it. more: headers."""
+        headers = [(b"host", b"localhost:8402"), (b"authorization", BEARER["authorization"].encode()), *more]
         scope = {
             "type": "http", "method": method, "path": path, "raw_path": path.encode(), "root_path": "", "query_string": b"",
             "headers": headers, "client": ("127.0.0.1", 5), "server": ("127.0.0.1", 8402), "scheme": "http",
@@ -197,3 +206,41 @@ async def page_over(subject: WebSubject) -> AsyncIterator[tuple[LiveHub, WebGuar
         nursery.start_soon(hub.run)
         yield hub, app, http, nursery
         nursery.cancel_scope.cancel()
+
+
+def real(path: str) -> str:
+    """A path of the description, with a net, a node and an object."""
+    return path.replace("{net}", "1").replace("{node}", "3").replace("{object}", "1017")
+
+
+def body_of(method: str, path: str) -> dict[str, Any] | None:
+    return BODIES[path[path.rindex("/") :]] if method == "PUT" else None
+
+
+class Described:
+    """A description in OpenAPI; it keeps which statuses of it have been seen. seen: by method and path."""
+
+    def __init__(self, about: dict[str, Any]) -> None:
+        self.about = about
+        self.seen: dict[tuple[str, str], set[str]] = defaultdict(set)
+
+    def statuses(self, method: str, path: str) -> set[str]:
+        return set(self.about["paths"][path][method.lower()]["responses"])
+
+    def check(self, method: str, path: str, status: int, kind: str, text: str) -> None:
+        where = f"{method} {path}: {status} {kind} {text[:80]}"
+        responses = self.about["paths"][path][method.lower()]["responses"]
+        assert str(status) in responses, where
+        content = responses[str(status)]["content"]
+        kind = kind.partition(";")[0]
+        assert kind in content, where
+        if kind == "application/json":
+            schema = {**content[kind]["schema"], "components": self.about["components"]}
+            jsonschema.Draft202012Validator(schema).validate(json.loads(text))
+        self.seen[method, path].add(str(status))
+
+    async def ask(self, clients: WebClients, method: str, path: str, *, at: str = "", sent: str = "", **given: Any) -> int:
+        """Ask for a path, and check the answer. at: the real path. sent: the method that is really sent."""
+        answer = await clients.http.request(sent or method, at or real(path), **given)
+        self.check(method, path, answer.status_code, answer.headers["content-type"], answer.text)
+        return answer.status_code

@@ -36,6 +36,7 @@ from canopen_proto.gateway import (
     GatewayRequest,
     NodeReport,
     PdoReport,
+    code_text,
     parse_request,
     print_event,
     print_value,
@@ -89,6 +90,10 @@ class _Refusal(Exception):
         super().__init__(remark)
         self.code = code
         self.remark = remark
+
+
+def _out_of_range(number: int, bounds: str) -> _Refusal:
+    return _Refusal(GatewayCode.SYNTAX, f"{code_text(GatewayCode.SYNTAX)} {number} is out of range: {bounds}")
 
 
 class AsciiConnection:
@@ -180,7 +185,7 @@ class AsciiConnection:
     async def read(self, request: GatewayRequest) -> GatewayAnswer | str:
         net, node_id, defaults = self._net_of(request), self._node_of(request), self._defaults_of(request)
         if request.value_type is None and not self._dialect.hex_fallback:
-            raise _Refusal(GatewayCode.SYNTAX)
+            raise _Refusal(GatewayCode.SYNTAX, f"{code_text(GatewayCode.SYNTAX)} A read needs a type")
         value_type = request.value_type or HEX
         index, subindex = request.numbers
         timeout = defaults.sdo_timeout_ms / 1000
@@ -238,7 +243,7 @@ class AsciiConnection:
     async def set_id(self, request: GatewayRequest) -> None:
         (node_id,) = request.numbers
         if node_id == 0 or 127 < node_id < UNCONFIGURED:
-            raise _Refusal(GatewayCode.SYNTAX)
+            raise _out_of_range(node_id, f"1 to 127, or {UNCONFIGURED}")
         self._service.set_own_id(self._net_of(request), None if node_id == UNCONFIGURED else node_id)
 
     async def set_heartbeat(self, request: GatewayRequest) -> None:
@@ -341,7 +346,7 @@ class AsciiConnection:
     async def lss_set_node(self, request: GatewayRequest) -> None:
         (node_id,) = request.numbers
         if node_id == 0 or 127 < node_id < UNCONFIGURED:
-            raise _Refusal(GatewayCode.SYNTAX)
+            raise _out_of_range(node_id, f"1 to 127, or {UNCONFIGURED}")
         settings = self._lss(request, selected=True)
         _check_lss(await settings.command("lss_set_node", lambda lss, now: lss.configure_node_id(node_id, now)))
 
@@ -361,7 +366,7 @@ class AsciiConnection:
     async def lss_inquire_address(self, request: GatewayRequest) -> str:
         settings = self._lss(request, selected=True)
         if request.numbers and request.numbers[0] not in (0, 1, 2, 3, *map(int, INQUIRIES)):
-            raise _Refusal(GatewayCode.SYNTAX)
+            raise _out_of_range(request.numbers[0], f"0 to 3, 0x{min(INQUIRIES):X} to 0x{max(INQUIRIES):X}")
         wanted: tuple[LssService, ...] = INQUIRIES
         if request.numbers:
             number = request.numbers[0]
@@ -407,7 +412,7 @@ class AsciiConnection:
         if len(numbers) == 1:
             milliseconds = numbers[0]
             if milliseconds > 0xFFFF:
-                raise _Refusal(GatewayCode.SYNTAX)
+                raise _out_of_range(milliseconds, f"0 to {0xFFFF}")
         elif numbers:
             known = _known(numbers[::2], numbers[1::2])
         address = await self._lss(request).fastscan(known, window_of(milliseconds))

@@ -67,9 +67,9 @@ class PdoData(TypedDict):
 
 
 class NodeLoadData(TypedDict):
-    """What a node takes of the bus: what it sends, and what is sent to it alone. node: 0 for all other frames. load: 0 to 1; null
-    if nobody tells the bit rate. pdos: what tells of its PDOs; "" if nothing does. read_age: seconds since the device was asked
-    for them; null if it was not."""
+    """What a node takes of the bus: what it sends, and what is sent to it alone. node: one of the machine, or one that has sent
+    a frame; 0 for all other frames. load: 0 to 1; null if nobody tells the bit rate. pdos: what tells of its PDOs; "" if nothing
+    does. read_age: seconds since the device was asked for them; null if it was not."""
 
     node: int
     name: str
@@ -114,7 +114,8 @@ def network_data(
     links. problem: why there is no plan."""
     known = _KnownPdos(master, traffic, net, names, plan)
     figures, bitrate = traffic.figures(), master.bus(net).bitrate
-    loads = {each.node_id: each for each in figures.nodes}
+    # A request to a node-ID is no sign of a node there: after a search all of them were asked
+    loads = {each.node_id: each for each in figures.nodes if each.node_id in names or each.last_heard is not None}
     watchdog = master.watchdogs.settings
     if watchdog is not None:
         names = {watchdog.node_id: MASTER_NAME, **names} if watchdog.node_id in loads else names

@@ -38,7 +38,7 @@ from canopen_gateway.errors import (
     NotOverFleetError,
 )
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import find_node
+from canopen_gateway.places import find_axis, find_node
 from canopen_gateway.plain_data import (
     Plain,
     error_data,
@@ -56,7 +56,7 @@ from canopen_master import BusError, MasterClosedError, MasterError, SdoTimeoutE
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
 from canopen_master.plain_text import clean, json_text
 from canopen_proto import LocalProtocolError, indices
-from canopen_proto.dictionary.model import NotInDictionaryError
+from canopen_proto.dictionary.model import ConstantNotFoundError, NotInDictionaryError
 from canopen_proto.procedures import ProcedureError
 
 API: Final = "/api/v1"
@@ -83,6 +83,7 @@ _STATUS: Final[Sequence[tuple[type[Exception], int]]] = (
     (MasterClosedError, 503),
     (MasterError, 409),
     (ProcedureError, 504),
+    (ConstantNotFoundError, 400),  # the value, and not the path
     (NotInDictionaryError, 404),
     (LocalProtocolError, 400),
     (ValueError, 400),
@@ -130,7 +131,7 @@ class WebApi:
     async def drive(self, request: Request) -> Response:
         """A drive: read, with the reasons why it does not move."""
         service = self.subject.machine("the view of an axis")
-        axis = find_node(request.query_params.get("axis", "0"), least=0)
+        axis = find_axis(request.query_params.get("axis", "0"))
         return _json(view_data(await service.look_at_drive(*self._node(request), axis)))
 
     async def about(self, request: Request) -> Response:
@@ -241,27 +242,42 @@ class WebApi:
     # ---- streams, and about this interface ----
 
     async def events(self, request: Request) -> Response:
-        """Events as they come, for scripts that only read (server-sent events); the last ones first."""
-        return StreamingResponse(self._event_lines(), media_type="text/event-stream")
+        """Events as they come, for scripts that only read (server-sent events). First come the last ones, marked by "past": all
+        that are kept, or those after `Last-Event-ID`."""
+        seen = self._number_of(request.headers.get("last-event-id", ""))
+        return StreamingResponse(self._event_lines(seen), media_type="text/event-stream")
 
-    async def _event_lines(self) -> AsyncIterator[str]:
-        put, get = trio.open_memory_channel[str](EVENTS_WAITING)
+    def _number_of(self, event_id: str) -> int:
+        """Return the number of an event by its id; 0 for one of another start of the door, or nonsense."""
+        run, _, number = event_id.rpartition("-")
+        if run != self.hub.run_name or not (number.isascii() and number.isdecimal() and len(number) < 16):
+            return 0
+        return int(number)
+
+    async def _event_lines(self, seen: int) -> AsyncIterator[str]:
+        """Yield the events after a number: those that are kept, then those that come. The numbers have no gap but what was
+        dropped."""
+        put, get = trio.open_memory_channel[tuple[int, str]](EVENTS_WAITING)
 
         def tell(text: str) -> None:
             if text.startswith('{"k": "event"'):
                 try:
-                    put.send_nowait(text)
+                    put.send_nowait((self.hub.told, text))
                 except trio.WouldBlock:
                     LOGGER.debug("a reader of events is slow, and misses one")
 
-        last = list(self.hub.events)
+        def lines(number: int, text: str) -> str:
+            return f"id: {self.hub.run_name}-{number}\ndata: {text}\n\n"
+
+        last = list(enumerate(self.hub.events, self.hub.told - len(self.hub.events) + 1))
         end = self.hub.listen(tell)
         try:
-            for event in last:
-                yield f"data: {json_text({'k': 'event', **event})}\n\n"
+            for number, event in last:
+                if number > seen:
+                    yield lines(number, json_text({"k": "event", "past": True, **event}))
             yield ": now\n\n"
-            async for text in get:
-                yield f"data: {text}\n\n"
+            async for number, text in get:
+                yield lines(number, text)
         finally:
             end()
 
@@ -320,8 +336,11 @@ ROUTES: Final[Sequence[tuple[str, str, Handler]]] = (
 
 def web_app(api: WebApi) -> Starlette:
     """Return the application, without the guard that has to stand in front of it."""
+    paths: dict[str, dict[str, Callable[[Request], Awaitable[Response]]]] = {}
+    for method, path, handler in ROUTES:
+        paths.setdefault(path, {})[method] = partial(handler, api)
     routes: list[Route | WebSocketRoute] = [
-        Route(path, partial(_handled, partial(handler, api)), methods=[method]) for method, path, handler in ROUTES
+        Route(path, partial(_handled, handlers), methods=[*handlers]) for path, handlers in paths.items()
     ]
     routes.append(WebSocketRoute(f"{API}/live", api.live))
     for name, (content, kind) in page_files().items():
@@ -329,10 +348,10 @@ def web_app(api: WebApi) -> Starlette:
     return Starlette(routes=routes, exception_handlers={HTTPException: _not_served})
 
 
-async def _handled(handler: Callable[[Request], Awaitable[Response]], request: Request) -> Response:
-    """Serve a request; an error becomes an answer. The gateway and its master go on, whatever it is."""
+async def _handled(handlers: Mapping[str, Callable[[Request], Awaitable[Response]]], request: Request) -> Response:
+    """Serve a request; an error becomes an answer. The gateway and its master go on, whatever it is. handlers: by method."""
     try:
-        return await handler(request)
+        return await handlers["GET" if request.method == "HEAD" else request.method](request)
     except Exception as error:
         status = status_of(error)
         if status == 500:
@@ -344,7 +363,9 @@ async def _handled(handler: Callable[[Request], Awaitable[Response]], request: R
 async def _not_served(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
     text = {404: "there is no such path", 405: "this path has no such method"}.get(status, "it cannot be served")
-    return _json({"error": {"code": "", "text": text, "details": [f"see: {API}/openapi.json"]}}, status)
+    answer = _json({"error": {"code": "", "text": text, "details": [f"see: {API}/openapi.json"]}}, status)
+    answer.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # `Allow`
+    return answer
 
 
 async def _file(content: bytes, kind: str, request: Request) -> Response:

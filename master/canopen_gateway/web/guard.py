@@ -30,6 +30,8 @@ from urllib.parse import parse_qs
 
 import trio
 
+from canopen_master.plain_text import json_text
+
 Scope: TypeAlias = MutableMapping[str, Any]
 AsgiMessage: TypeAlias = MutableMapping[str, Any]
 Receive: TypeAlias = Callable[[], Awaitable[AsgiMessage]]
@@ -72,6 +74,8 @@ class WebRefusal(NamedTuple):
 
 FULL: Final = WebRefusal(503, f"this door serves {MOST_AT_ONCE} requests at a time")
 TOO_LONG: Final = WebRefusal(413, f"a body has {MAX_BODY} bytes at most")
+TOO_SLOW: Final = WebRefusal(408, "the body did not come in time")
+CLOSE: Final = (b"connection", b"close")
 
 
 class WebGuard:
@@ -138,7 +142,7 @@ class WebGuard:
         if refusal is None and self._at_once >= MOST_AT_ONCE and not is_halt:  # a halt passes whatever else is asked
             refusal = FULL
         if refusal is not None:
-            await _answer(send, refusal.status, refusal.text)
+            await _refuse(send, scope["path"], refusal)
         elif scope["path"] == "/" and b"token=" in scope["query_string"]:
             await self._enter(scope, send)
         else:
@@ -171,10 +175,10 @@ class WebGuard:
                 body += message.get("body", b"")
                 more = message.get("more_body", False)
                 if len(body) > MAX_BODY:
-                    await _answer(send, *TOO_LONG, [(b"connection", b"close")])
+                    await _refuse(send, scope["path"], TOO_LONG, [CLOSE])
                     return
         if limit.cancelled_caught:
-            await _answer(send, 408, "the body did not come in time", [(b"connection", b"close")])
+            await _refuse(send, scope["path"], TOO_SLOW, [CLOSE])
             return
         whole: list[AsgiMessage] = [{"type": "http.request", "body": body, "more_body": False}]
 
@@ -210,8 +214,19 @@ def _announced(headers: Mapping[str, list[str]]) -> int:
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 20 else MAX_BODY + 1
 
 
-async def _answer(send: Send, status: int, text: str, more: Iterable[tuple[bytes, bytes]] = ()) -> None:
+async def _refuse(send: Send, path: str, refusal: WebRefusal, more: Iterable[tuple[bytes, bytes]] = ()) -> None:
+    """Refuse a request: a program gets JSON, as each error of the interface is; who asks for the page gets text."""
+    if not path.startswith(GUARDED):
+        await _answer(send, *refusal, more)
+        return
+    error = {"error": {"code": "", "text": refusal.text, "details": []}}
+    await _answer(send, refusal.status, json_text(error), more, kind=b"application/json")
+
+
+async def _answer(
+    send: Send, status: int, text: str, more: Iterable[tuple[bytes, bytes]] = (), kind: bytes = b"text/plain; charset=utf-8"
+) -> None:
     body = f"{text}\n".encode() if text else b""
-    lengths = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
+    lengths = [(b"content-type", kind), (b"content-length", str(len(body)).encode())]
     await send({"type": "http.response.start", "status": status, "headers": [*lengths, *more, *HEADERS]})
     await send({"type": "http.response.body", "body": body})

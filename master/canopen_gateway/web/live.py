@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import json
 import logging
+import secrets
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -79,8 +80,8 @@ _LOOK: Final = ""
 
 
 class LiveHub:
-    """What all clients of the live channel hear; encoded once for all of them. events: the last ones, as plain data.
-    counts: of all events so far, by net, node and kind.
+    """What all clients of the live channel hear; encoded once for all of them. events: the last ones, as plain data. told: how
+    many there were so far. run_name: of this start, for the ids of events. counts: of all events so far, by net, node and kind.
 
     subject: what is shown. clock: seconds since 1970, for events.
     """
@@ -88,6 +89,8 @@ class LiveHub:
     def __init__(self, subject: WebSubject, clock: Callable[[], float] = time.time) -> None:
         self.subject = subject
         self.events: deque[Plain] = deque(maxlen=LOG_LENGTH)
+        self.told = 0
+        self.run_name = secrets.token_hex(4)
         self.counts: Counter[tuple[str, int, str]] = Counter()
         self._clock = clock
         self._listeners: set[Callable[[str], None]] = set()
@@ -109,6 +112,7 @@ class LiveHub:
 
     def _tell_event(self, net: str, event: Plain) -> None:
         self.events.append(event)
+        self.told += 1
         self.counts[net, event["node"], event["kind"]] += 1
         self._tell({"k": "event", **event})
 

@@ -9,11 +9,17 @@ _PLAIN: Final[dict[Any, str]] = {str: "string", int: "integer", float: "number",
 
 
 def schema_of(kind: Any, schemas: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a type: a plain one, a list, a union, a TypedDict. schemas: gets those of TypedDicts, by name."""
+    """Return the schema of a type: a plain one, a list, a dict with names, a union, a TypedDict.
+
+    schemas: gets those of TypedDicts, by name.
+    """
     if kind in _PLAIN:
         return {"type": _PLAIN[kind]}
     if get_origin(kind) is list:
         return {"type": "array", "items": schema_of(get_args(kind)[0], schemas)}
+    if get_origin(kind) is dict:
+        value = get_args(kind)[1]
+        return {"type": "object", "additionalProperties": True if value is Any else schema_of(value, schemas)}
     if isinstance(kind, UnionType):
         return {"anyOf": [schema_of(each, schemas) for each in get_args(kind)]}
     if not is_typeddict(kind):

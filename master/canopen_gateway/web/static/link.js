@@ -22,7 +22,7 @@ export async function ask(method, path, body = undefined, signal = undefined) {
   const text = await answer.text();
   if (!answer.ok) {
     let error = { text: text.trim() || `the door answers ${answer.status}` };
-    try { error = JSON.parse(text).error ?? error; } catch { /* the guard answers in plain text */ }
+    try { error = JSON.parse(text).error ?? error; } catch { /* no JSON: something in between has answered */ }
     throw new DoorError(answer.status, error);
   }
   return JSON.parse(text);
