@@ -78,16 +78,21 @@ class DeclaredDevice(Machine):
     without: ClassVar[Collection[int]] = ()
     period: ClassVar[Time] = 0
     dictionary: ClassVar[ObjectDictionary]
+    node: LocalNode
+    now: Time
     _declared: ClassVar[dict[Mux, Declared]]
     _shown: ClassVar[tuple[Mux, ...]]
 
     def __init_subclass__(cls) -> None:
-        """Make the dictionary. Raises LocalProtocolError if a declaration cannot be; a class without a nameplate has none."""
+        """Make the dictionary; a class without a nameplate has none. Raises LocalProtocolError if a declaration cannot be, or has
+        a name of `DeclaredDevice` itself."""
         super().__init_subclass__()
+        names = {name: value for each in reversed(cls.__mro__) for name, value in vars(each).items()}
+        named = {name: value for name, value in names.items() if isinstance(value, Declared)}
+        _refuse_reserved(cls.__name__, named)
         if not hasattr(cls, "nameplate"):
             return
-        names = {name: value for each in reversed(cls.__mro__) for name, value in vars(each).items()}
-        declared = [value for value in names.values() if isinstance(value, Declared)]
+        declared = list(named.values())
         served = ((variable, each) for each in declared for variable in each.variables if each.serves(variable))
         cls._declared = {variable.mux: each for variable, each in served}
         cls._shown = tuple(key for key, each in cls._declared.items() if each.reads and each.variables[-1].pdo_mappable)
@@ -238,3 +243,13 @@ class DeclaredDevice(Machine):
         if name in _OWN_WORK:
             self._call("stop", SOFTWARE_ERROR)
         return AbortCode.CANNOT_TRANSFER
+
+
+def _refuse_reserved(device: str, named: dict[str, Declared]) -> None:
+    """Refuse objects that would stand in place of what a device is made of. device: the class's name."""
+    reserved = {*dir(DeclaredDevice), *DeclaredDevice.__annotations__}
+    for name, declared in named.items():
+        if name in reserved:
+            own = ", ".join(sorted(each for each in reserved if not each.startswith("__")))
+            message = f"{device}.{name}: 0x{declared.index:04X} {declared.record!r} needs another attribute"
+            raise LocalProtocolError(f"{message}: a device has these names itself: {own}")

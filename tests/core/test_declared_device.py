@@ -80,6 +80,12 @@ class Kettle(DeclaredDevice):
         return self.level
 
 
+class Bare(DeclaredDevice):
+    """Has nothing but what each device has."""
+
+    nameplate = Nameplate("Bare")
+
+
 def kettle(kind: type[Kettle] = Kettle) -> tuple[DeviceBench, Kettle]:
     made: list[Kettle] = []
 
@@ -166,6 +172,17 @@ def test_a_class_without_a_nameplate_declares_for_those_below_it() -> None:
 def test_a_declaration_that_cannot_be_is_refused(wrong: Any, text: str) -> None:
     with pytest.raises(LocalProtocolError, match=text):
         wrong()
+
+
+def test_an_object_never_stands_in_place_of_what_a_device_is_made_of() -> None:
+    own = {name for name in {*dir(Bare), *vars(Bare(Outbox(), 5))} if not name.startswith("__")}
+    assert {"acting", "deadline", "node", "now", "out", "pdos", "period", "start", "_declared"} <= own
+    for name in own | {"nameplate", "__init__"}:
+        text = rf"Wrong\.{name}: 0x2000 'Period' needs another attribute.* node, now, on_sync, out"
+        with pytest.raises(LocalProtocolError, match=text):
+            type("Wrong", (DeclaredDevice,), {name: variable(0x2000, "Period", DataType.UNSIGNED16, 100)})
+    with pytest.raises(LocalProtocolError, match=r"Wrong\.period: .* \bstep\b"):
+        type("Wrong", (Kettle,), {"period": array(0x2000, "Periods", DataType.UNSIGNED16, 2)})
 
 
 def test_a_default_that_does_not_fit_is_refused() -> None:
