@@ -23,7 +23,8 @@ outside of them, `acting` stands around every change. None of them may wait; wha
 (`LocalNode.deferred`).
 
 An exception in one of them is a fault of the device, not of its peers: DeviceCodeFailed tells it, EMCY 0x6200 goes to the bus,
-and a client that has asked gets 0x08000020. If the work of the device itself failed (`start`, `step`, `sync`), `stop` follows.
+and a client that has asked gets 0x08000020. A write that failed in this way leaves the value from before in the object; what a
+PDO brought stays. If the work of the device itself failed (`start`, `step`, `sync`), `stop` follows.
 """
 
 from __future__ import annotations
@@ -177,12 +178,14 @@ class DeclaredDevice(Machine):
         refusal = self._call(declared.checks, *declared.arguments_for(subindex), value)
         return refusal if isinstance(refusal, AbortCode) else None
 
-    def written(self, index: int, subindex: int, now: Time) -> None:
+    def written(self, index: int, subindex: int, now: Time) -> AbortCode | None:
         self.now = now
         key = mux(index, subindex)
         declared = self._declared.get(key)
-        if declared is not None and declared.acts:
-            self._call(declared.acts, *declared.arguments_for(subindex), self.node.values.store[key])
+        if declared is None or not declared.acts:
+            return None
+        failure = self._call(declared.acts, *declared.arguments_for(subindex), self.node.values.store[key])
+        return failure if isinstance(failure, AbortCode) else None
 
     def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> AbortCode | None:
         self.now = now

@@ -19,6 +19,8 @@ from canopen_proto.dictionary.standard import STANDARD, standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
+from canopen_proto.multiplexer import mux
+from canopen_proto.sdo.events import ObjectWritten
 from canopen_proto.simulation.boot_loader import BootLoader, boot_loader_dictionary
 from tests.core.device_bench import PRE_OPERATIONAL, RESET_NODE, START, SYNC, DeviceBench
 from tests.examples import examples
@@ -356,6 +358,46 @@ def test_an_exception_of_an_access_is_an_abort() -> None:
     bench.wait(1)
     assert bench.number(0x2000) == 1
     assert "stop 6200" not in device.log
+
+
+def test_a_client_is_never_told_that_a_write_was_done_if_the_device_failed_to_act_on_it() -> None:
+    class Faulty(Kettle):
+        long = variable(0x2001, "Long", DataType.VISIBLE_STRING, "old")
+        date = variable(0x2002, "Date", DataType.UNSIGNED8)
+
+        @long.on_write
+        def _long(self, value: str) -> None:
+            raise OSError(value)
+
+        def _limited(self, value: int) -> None:
+            self.probes[1] = value  # before the fault: a TPDO tells it
+            raise OSError(value)
+
+    bench, device = kettle(Faulty)
+    bench.tell(START)
+    store = device.node.values.store
+    store.update({mux(0x1020, 1): 7, mux(0x1020, 2): 8})
+    assert bench.write(0x2000, 0, 50, 1) == AbortCode.CANNOT_TRANSFER
+    assert device.limit == bench.number(0x2000) == 100, "a write that is aborted changes nothing"
+    assert store[mux(0x1020, 1)] == 7, "so what is configured has not changed either"
+    in_segments = bench.tell("605#2101200007000000", f"605#01{b'further'.hex()}")
+    assert in_segments[-1] == "585#8001200020000008"
+    assert device.long == "old"
+    assert [each.function for each in bench.seen(DeviceCodeFailed)] == ["_limited", "_long"]
+    assert bench.seen(ObjectWritten) == []
+    assert bench.write(0x2002, 0, 3, 1) is None
+    assert (device.date, store[mux(0x1020, 1)]) == (3, 0)
+
+
+def test_a_value_of_a_pdo_stays_though_the_device_failed_to_act_on_it() -> None:
+    class Faulty(Kettle):
+        def _heat(self, subindex: int, value: int) -> None:
+            raise OSError(value)
+
+    bench, device = kettle(Faulty)
+    bench.tell(START, "205#0700")
+    assert list(device.heaters) == [7, 0]
+    assert [each.function for each in bench.seen(DeviceCodeFailed)] == ["_heat", "_heat"]
 
 
 # ---- a device with a program ----
