@@ -93,6 +93,8 @@ class DeclaredDevice(Machine):
         _refuse_reserved(cls.__name__, named)
         if not hasattr(cls, "nameplate"):
             return
+        if not isinstance(cls.nameplate, Nameplate):
+            raise LocalProtocolError(f"{cls.__name__}.nameplate is {cls.nameplate!r}, no Nameplate")
         declared = list(named.values())
         served = ((variable, each) for each in declared for variable in each.variables if each.serves(variable))
         cls._declared = {variable.mux: each for variable, each in served}
@@ -101,7 +103,13 @@ class DeclaredDevice(Machine):
 
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary | None = None) -> None:
         """out: of the network that `node` is attached to. node_id: 1..127, or UNCONFIGURED: LSS gives it one. dictionary: the
-        same objects with other values at power-on, such as a serial number of its own; None = that of the class."""
+        same objects with other values at power-on, such as a serial number of its own; None = that of the class.
+
+        Raises LocalProtocolError if the class has no nameplate.
+        """
+        if not hasattr(self, "nameplate"):
+            name = type(self).__name__
+            raise LocalProtocolError(f"{name} has no nameplate: `nameplate = Nameplate({name!r})` in the class makes it a device")
         self.node = self.make_node(out, node_id, self.dictionary if dictionary is None else dictionary)
         super().__init__(self.node.inner)
         self.now: Time = 0

@@ -150,6 +150,8 @@ def test_a_class_without_a_nameplate_declares_for_those_below_it() -> None:
         nameplate = Nameplate("Whole")
 
     assert not hasattr(Shared, "dictionary")
+    with pytest.raises(LocalProtocolError, match="Shared has no nameplate: `nameplate = Nameplate"):
+        Shared(Outbox(), 5)
     assert Whole.dictionary.at(0x2000, 0).name == "Hours"
 
 
@@ -185,6 +187,33 @@ def test_an_object_never_stands_in_place_of_what_a_device_is_made_of() -> None:
             type("Wrong", (DeclaredDevice,), {name: variable(0x2000, "Period", DataType.UNSIGNED16, 100)})
     with pytest.raises(LocalProtocolError, match=r"Wrong\.period: .* \bstep\b"):
         type("Wrong", (Kettle,), {"period": array(0x2000, "Periods", DataType.UNSIGNED16, 2)})
+
+
+@pytest.mark.parametrize(
+    ("facts", "text"),
+    [
+        ({"product_code": -1}, "product_code=-1 .*0..0xFFFFFFFF"),
+        ({"vendor_id": 1 << 40}, "vendor_id=1099511627776 "),
+        ({"revision": "x"}, "revision='x' "),
+        ({"serial_number": True}, "serial_number=True "),
+        ({"device_type": 1.0}, "device_type=1.0 "),
+        ({"vendor_name": None}, "vendor_name=None .*a text"),
+        ({"product_name": 5}, "product_name=5 "),
+        ({"hardware_version": 1}, "hardware_version=1 "),
+        ({"software_version": "1 \u0394"}, "VISIBLE_STRING"),
+        ({"description": b"kettle"}, "description=b'kettle' "),
+        ({"bit_rates": 500}, "bit_rates=500 "),
+        ({"bit_rates": {500_000}}, "500000.*kbit/s: 10, 20, 50"),
+    ],
+)
+def test_a_nameplate_that_cannot_be_is_refused_when_it_is_made(facts: dict[str, Any], text: str) -> None:
+    with pytest.raises(LocalProtocolError, match=text):
+        Nameplate(**{"product_name": "Kettle"} | facts)
+
+
+def test_what_is_no_nameplate_is_refused_with_its_class() -> None:
+    with pytest.raises(LocalProtocolError, match="Wrong.nameplate is 'Kettle', no Nameplate"):
+        type("Wrong", (DeclaredDevice,), {"nameplate": "Kettle"})
 
 
 def test_a_default_that_does_not_fit_is_refused() -> None:
