@@ -55,7 +55,7 @@ def write_xdd(description: DeviceDescription, kind: FileKind | None = None, *, f
         kind = FileKind.XDD if description.commissioning is None else FileKind.XDC
     if kind not in _KINDS:
         raise LocalProtocolError(f"an XDD or an XDC can be written here, no {kind}")
-    if kind is FileKind.XDD and description.commissioning is not None:
+    if kind == FileKind.XDD and description.commissioning is not None:
         description = without_configured(description)
     info = description.file_info if file_info is None else file_info
     root = Element("ISO15745ProfileContainer", {"xmlns": _NAMESPACE, "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance"})
