@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Final
 
 from canopen_proto.datatypes import DataType, encode
-from canopen_proto.lss.messages import BIT_RATES
 from canopen_proto.machine import LocalProtocolError
 
 _NUMBERS: Final = ("vendor_id", "product_code", "revision", "serial_number", "device_type")
 _OBJECTS: Final = ("product_name", "hardware_version", "software_version")
 _OF_THE_FILE: Final = ("vendor_name", "order_code", "description")
 _MAX: Final = 0xFFFF_FFFF
+BIT_RATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
+"""kbit/s: those that the file can name (CiA 306-1, DeviceInfo)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class Nameplate:
                 raise LocalProtocolError(f"Nameplate: {name}={text!r} is not a text")
         for name in _OBJECTS:
             encode(getattr(self, name), DataType.VISIBLE_STRING, f"Nameplate: {name}")
-        known, rates = sorted(BIT_RATES.values()), self.bit_rates
-        if not isinstance(rates, Collection) or not all(rate in known for rate in rates):
+        rates = self.bit_rates
+        if not isinstance(rates, Collection) or not all(rate in BIT_RATES for rate in rates):
             told = f"bit_rates={rates!r} is no set of bit rates"
-            raise LocalProtocolError(f"Nameplate: {told} in kbit/s: {', '.join(map(str, known))}")
+            raise LocalProtocolError(f"Nameplate: {told} in kbit/s: {', '.join(map(str, BIT_RATES))}")
