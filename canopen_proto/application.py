@@ -23,8 +23,12 @@ class Application(Protocol):
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Return None to accept a value, else an abort code. Changes nothing. Type and limits were checked before."""
 
-    def written(self, index: int, subindex: int, now: Time) -> None:
-        """Act on a value that was stored, by SDO or PDO (perhaps the same as before)."""
+    def written(self, index: int, subindex: int, now: Time) -> AbortCode | None:
+        """Act on a value that was stored, by SDO or PDO (perhaps the same as before).
+
+        Returns None, or an abort code if it cannot: then a client gets it, and the object has the value from before again. A PDO
+        has no answer, and its value stays.
+        """
 
     def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> AbortCode | None:
         """Update the values: they are about to be read. index, subindex: of the one that a client reads; None: those that a PDO

@@ -62,6 +62,7 @@ class Members:
         if machine in self._keys:
             return
         self._keys[machine] = ()
+        machine._is_attached = True
         self._route(machine)
         self._announce()
         machine._wake = NEVER
@@ -74,6 +75,7 @@ class Members:
         self._unroute(machine)
         self._announce()
         del self._keys[machine]
+        machine._is_attached = False
         machine._wake = NEVER  # what the heap still holds of it no longer counts
         for pending in (self._out.armed, self._out.rerouted):
             if machine in pending:

@@ -7,7 +7,8 @@ PDOs, and perhaps an `application` (such as a simulated drive). All of them shar
 right, the owner of the object checks the value, and may refuse it with an abort code. Each communication object has one `Owner`
 (owner.py): the PDO parameters (pdo/parameters.py), the storage of parameters (parameter_storage.py), the records of SDO channels
 (sdo/channels.py), or communication_objects.py for the rest. All other objects belong to the application. Then the value is
-stored, and its owner acts on it before the client gets its answer.
+stored, and its owner acts on it before the client gets its answer. If the application cannot, the value from before is put back,
+and the client gets the abort code, as after a refusal.
 
 The reactions:
 
@@ -338,13 +339,17 @@ class LocalNode(Group):
             return refusal
         if owner is self.storage:  # one at a time: each takes the values of its moment
             return AbortCode.DEVICE_STATE if any(map(self.channels.host_takes, SIGNATURES)) else PENDING
-        if store.get(which) != value:
-            self.storage.changed(variable)
+        before = store[which]
         store[which] = value
         if owner is None:
-            self.application.written(index, subindex, now)
+            failure = self.application.written(index, subindex, now)
+            if failure is not None:
+                store[which] = before
+                return failure
         elif owner is not self.channels:  # else `_on_written` does: the write may close its own channel
             self._obey(index, subindex, now)
+        if before != value:
+            self.storage.changed(variable)
         self.pdos.trigger(which, now)
         return None
 

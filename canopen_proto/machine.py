@@ -165,10 +165,11 @@ class OutboxRoot:
 class Machine:
     """A pure state machine; see this module's text for the contract."""
 
-    __slots__ = ("_in_armed", "_in_rerouted", "_wake", "deadline", "out")
+    __slots__ = ("_in_armed", "_in_rerouted", "_is_attached", "_wake", "deadline", "out")
 
     def __init__(self, out: Outbox) -> None:
         self.out = out
+        self._is_attached = False
         self.deadline: Time = NEVER
         self._wake: Time = NEVER  # the earliest wake held for this machine, by its Group or its driver
         self._in_armed = False

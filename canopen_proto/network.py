@@ -31,10 +31,11 @@ from canopen_proto.follower import Follower
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey
 from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.group import Members, Reaction
-from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommandSent, NmtState
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
@@ -116,7 +117,17 @@ class Network:
         self._tasks = runner.tasks  # asked for at each drain
 
     def attach(self, machine: Machine) -> None:
-        """Route frames to a machine that was made with this network's `out`, and wake it at its deadlines."""
+        """Route frames to a machine that was made with this network's `out`, and wake it at its deadlines.
+
+        Raises LocalProtocolError if it is attached already, was made with another `out`, or is a second RemoteNode of one
+        node-ID: each of the two would hear the answers to the other's requests.
+        """
+        if machine._is_attached:
+            raise LocalProtocolError(f"the {type(machine).__name__} is attached already")
+        if isinstance(machine, RemoteNode):
+            for each in self._members:
+                if isinstance(each, RemoteNode) and each.node_id == machine.node_id:
+                    raise LocalProtocolError(f"there is a RemoteNode of node {each.node_id} in this network already")
         self._members.attach(machine)
         if isinstance(machine, Follower):
             self._followers = self._followers | {machine: machine}
@@ -348,7 +359,10 @@ class Network:
                 self._settle(now)
 
     def run(self, procedure: Procedure[T], now: Time) -> RequestId:
-        """Start a procedure (see `canopen_proto.procedures`); ProcedureFinished, -Failed or -Cancelled follows with this id."""
+        """Start a procedure (see `canopen_proto.procedures`); ProcedureFinished, -Failed or -Cancelled follows with this id.
+
+        A request to a machine that is not attached fails with a LocalProtocolError, and nothing is sent.
+        """
         now = max(now, self._now)
         self._now = now
         self.out.root.quiet = False  # in the middle of a burst it may ask for what comes behind

@@ -28,6 +28,7 @@ _CONTENTION: Final = "sdo/contention.py"
 _QUEUE: Final = "sdo/request_queue.py"
 CONTENTION: Final = ("tests/core/test_sdo_contention.py",)
 COPIES: Final = ("tests/core/test_sdo_copies.py",)
+DEVICE_CODE: Final = ("tests/core/test_declared_device.py",)
 RESTORE: Final = ("tests/manager/test_restore.py",)
 
 SERVICE_MUTANTS: Final = tuple(
@@ -464,6 +465,15 @@ SERVICE_MUTANTS: Final = tuple(
             "            self._door.ask(self)",
             "the host has less time for a further piece than for the first one",
             HOST,
+        ),
+        # ---- the code of a device ----
+        (
+            "failed_write_confirmed",
+            "local_node.py",
+            "            if failure is not None:",
+            "            if failure is not None and now < 0:",
+            "a client is told that a write was done on which the device has failed to act",
+            DEVICE_CODE,
         ),
         # ---- queues and limits ----
         (

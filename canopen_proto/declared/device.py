@@ -23,7 +23,8 @@ outside of them, `acting` stands around every change. None of them may wait; wha
 (`LocalNode.deferred`).
 
 An exception in one of them is a fault of the device, not of its peers: DeviceCodeFailed tells it, EMCY 0x6200 goes to the bus,
-and a client that has asked gets 0x08000020. If the work of the device itself failed (`start`, `step`, `sync`), `stop` follows.
+and a client that has asked gets 0x08000020. A write that failed in this way leaves the value from before in the object; what a
+PDO brought stays. If the work of the device itself failed (`start`, `step`, `sync`), `stop` follows.
 """
 
 from __future__ import annotations
@@ -78,16 +79,23 @@ class DeclaredDevice(Machine):
     without: ClassVar[Collection[int]] = ()
     period: ClassVar[Time] = 0
     dictionary: ClassVar[ObjectDictionary]
+    node: LocalNode
+    now: Time
     _declared: ClassVar[dict[Mux, Declared]]
     _shown: ClassVar[tuple[Mux, ...]]
 
     def __init_subclass__(cls) -> None:
-        """Make the dictionary. Raises LocalProtocolError if a declaration cannot be; a class without a nameplate has none."""
+        """Make the dictionary; a class without a nameplate has none. Raises LocalProtocolError if a declaration cannot be, or has
+        a name of `DeclaredDevice` itself."""
         super().__init_subclass__()
+        names = {name: value for each in reversed(cls.__mro__) for name, value in vars(each).items()}
+        named = {name: value for name, value in names.items() if isinstance(value, Declared)}
+        _refuse_reserved(cls.__name__, named)
         if not hasattr(cls, "nameplate"):
             return
-        names = {name: value for each in reversed(cls.__mro__) for name, value in vars(each).items()}
-        declared = [value for value in names.values() if isinstance(value, Declared)]
+        if not isinstance(cls.nameplate, Nameplate):
+            raise LocalProtocolError(f"{cls.__name__}.nameplate is {cls.nameplate!r}, no Nameplate")
+        declared = list(named.values())
         served = ((variable, each) for each in declared for variable in each.variables if each.serves(variable))
         cls._declared = {variable.mux: each for variable, each in served}
         cls._shown = tuple(key for key, each in cls._declared.items() if each.reads and each.variables[-1].pdo_mappable)
@@ -95,7 +103,13 @@ class DeclaredDevice(Machine):
 
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary | None = None) -> None:
         """out: of the network that `node` is attached to. node_id: 1..127, or UNCONFIGURED: LSS gives it one. dictionary: the
-        same objects with other values at power-on, such as a serial number of its own; None = that of the class."""
+        same objects with other values at power-on, such as a serial number of its own; None = that of the class.
+
+        Raises LocalProtocolError if the class has no nameplate.
+        """
+        if not hasattr(self, "nameplate"):
+            name = type(self).__name__
+            raise LocalProtocolError(f"{name} has no nameplate: `nameplate = Nameplate({name!r})` in the class makes it a device")
         self.node = self.make_node(out, node_id, self.dictionary if dictionary is None else dictionary)
         super().__init__(self.node.inner)
         self.now: Time = 0
@@ -172,12 +186,14 @@ class DeclaredDevice(Machine):
         refusal = self._call(declared.checks, *declared.arguments_for(subindex), value)
         return refusal if isinstance(refusal, AbortCode) else None
 
-    def written(self, index: int, subindex: int, now: Time) -> None:
+    def written(self, index: int, subindex: int, now: Time) -> AbortCode | None:
         self.now = now
         key = mux(index, subindex)
         declared = self._declared.get(key)
-        if declared is not None and declared.acts:
-            self._call(declared.acts, *declared.arguments_for(subindex), self.node.values.store[key])
+        if declared is None or not declared.acts:
+            return None
+        failure = self._call(declared.acts, *declared.arguments_for(subindex), self.node.values.store[key])
+        return failure if isinstance(failure, AbortCode) else None
 
     def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> AbortCode | None:
         self.now = now
@@ -238,3 +254,13 @@ class DeclaredDevice(Machine):
         if name in _OWN_WORK:
             self._call("stop", SOFTWARE_ERROR)
         return AbortCode.CANNOT_TRANSFER
+
+
+def _refuse_reserved(device: str, named: dict[str, Declared]) -> None:
+    """Refuse objects that would stand in place of what a device is made of. device: the class's name."""
+    reserved = {*dir(DeclaredDevice), *DeclaredDevice.__annotations__}
+    for name, declared in named.items():
+        if name in reserved:
+            own = ", ".join(sorted(each for each in reserved if not each.startswith("__")))
+            message = f"{device}.{name}: 0x{declared.index:04X} {declared.record!r} needs another attribute"
+            raise LocalProtocolError(f"{message}: a device has these names itself: {own}")

@@ -77,7 +77,10 @@ class Declared:
         return function
 
     def on_write(self, function: F) -> F:
-        """Call this method when a client has written a value, by SDO or PDO. It is stored already."""
+        """Call this method when a client has written a value, by SDO or PDO. It is stored already.
+
+        If it returns an abort code, or raises, an SDO client gets that code (0x08000020), and the object has the value from
+        before again. A PDO has no answer: its value stays."""
         self.acts = function.__name__
         return function
 

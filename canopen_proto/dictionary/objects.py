@@ -18,6 +18,7 @@ from typing import Final, TypeAlias
 from canopen_proto import indices
 from canopen_proto.cob_id import cob_id_without_value
 from canopen_proto.datatypes import Codec, DataType, Value, ValueRangeError, codec_of
+from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import Mux, mux
 
 _HOLDS_COB_ID: Final = (DataType.UNSIGNED32, DataType.UNSIGNED64)
@@ -94,7 +95,10 @@ class Variable:
 
     def __post_init__(self) -> None:
         self.mux = mux(self.index, self.subindex)
-        self.codec = codec_of(self.data_type)
+        try:
+            self.codec = codec_of(self.data_type)
+        except KeyError:
+            raise LocalProtocolError(f"{self.label}: there is no data type {self.data_type!r}") from None
 
     @property
     def size(self) -> int | None:

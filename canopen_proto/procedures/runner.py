@@ -20,7 +20,7 @@ from collections.abc import Collection
 from typing import Any, Final, TypeVar
 
 from canopen_proto.group import Group
-from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.procedures.steps import (
     Act,
     AllOf,
@@ -279,6 +279,8 @@ class Runner(Machine):
                 return step.function(now)
             case Request():
                 root = step.requester.out.root
+                if self._is_attached:
+                    _check_attached(step.requester)
                 task.token = (root, step.submit(now, task.urgent))
                 self._requests[task.token] = task
             case Wait():
@@ -430,3 +432,15 @@ def _cancel_request(requester: Requester, request_id: RequestId, now: Time) -> N
 def _kinds_of(step: Wait) -> Collection[type[Event] | None]:
     """Return the kinds of event that a step waits for; None alone if it has to be asked about each event."""
     return (None,) if step.kinds is None else step.kinds
+
+
+def _check_attached(requester: Requester) -> None:
+    """Refuse the request of a machine that no network hands its answers to: it would have no outcome."""
+    machine: object = requester
+    out = requester.out
+    while out.owner is not None:
+        machine, out = out.owner, out.owner.out
+    if isinstance(machine, Machine) and not machine._is_attached:
+        node_id = getattr(machine, "node_id", None)
+        name = type(machine).__name__ + ("" if node_id is None else f" of node {node_id}")
+        raise LocalProtocolError(f"the {name} is not attached, so no answer would reach it: network.attach(...) comes first")

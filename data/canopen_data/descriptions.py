@@ -6,6 +6,7 @@ current folder takes precedence. Files are read here, `canopen_proto` takes thei
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Final
 
 from canopen_data import DataError, content_of, expanded, load_dictionary
 from canopen_data.description import DeviceDescription
+from canopen_data.findings import Severity
 from canopen_data.reading import read_description
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType
@@ -25,6 +27,14 @@ SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
 DRIVE_PROFILE: Final = 402
 
 _SAMPLES: Final = resources.files("canopen_data") / "samples"
+
+
+class UnusableFileError(DataError):
+    """A file that a user named cannot be used. For the fields see Explained."""
+
+    def __init__(self, failed: str, code: str = "CO330", *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(failed, *tries)
+        self.code, self.seen, self.cause = code, seen, cause
 
 
 def samples() -> list[str]:
@@ -48,9 +58,29 @@ def load_description(path: str | Path, *, strict: bool = False) -> DeviceDescrip
     """Return the description in a file. Its findings list everything wrong with the file. path: of a file, or the name of a
     sample.
 
-    Raises DataError if it cannot be read; with strict, DictionaryError for the first error in it.
+    Raises DataError if it cannot be read or describes no object; with strict, DictionaryError for the first error in it.
     """
-    return read_description(read_file(path), str(path), strict=strict)
+    data = read_file(path)
+    description = read_description(data, str(path), strict=strict)
+    refuse_without_objects(description, data)
+    return description
+
+
+def refuse_without_objects(description: DeviceDescription, data: bytes) -> None:
+    """Refuse a file that describes no object: it is another one. data: its bytes. Raises UnusableFileError."""
+    if description.dictionary.objects:
+        return
+    first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
+    seen = f"{len(data)} bytes"
+    if first is not None:
+        seen = f"line {first.line}: {first.message}" if first.line else first.message
+    raise UnusableFileError(
+        f"{description.source} describes no object",
+        "CO301",
+        seen=seen,
+        cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
+        tries=("check the path", "ask the device's maker for its file"),
+    )
 
 
 def load_description_with_names(path: str | Path, *, overlay: bool = True, folder: str | Path | None = None) -> DeviceDescription:

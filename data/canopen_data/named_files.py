@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from canopen_data import MAX_FILE_SIZE, DataError
+from canopen_data import MAX_FILE_SIZE
 from canopen_data.description import DeviceDescription
-from canopen_data.descriptions import read_file
-from canopen_data.findings import Severity
+from canopen_data.descriptions import UnusableFileError, read_file, refuse_without_objects
 from canopen_data.reading import read_description
 
 __all__ = ["DescriptionFile", "UnusableFileError", "open_description"]
-
-
-class UnusableFileError(DataError):
-    """A file that a user named cannot be used. For the fields see Explained."""
-
-    def __init__(self, failed: str, code: str = "CO330", *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(failed, *tries)
-        self.code, self.seen, self.cause = code, seen, cause
 
 
 @dataclass(frozen=True)
@@ -51,18 +41,7 @@ def open_description(path: str, encoding: str = "", connected: tuple[int, ...] =
     """
     data = read_file(path)
     description = read_description(data, path, encoding=encoding, connected=connected)
-    if not description.dictionary.objects:
-        first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
-        seen = f"{len(data)} bytes"
-        if first is not None:
-            seen = f"line {first.line}: {first.message}" if first.line else first.message
-        raise UnusableFileError(
-            f"{path} describes no object",
-            "CO301",
-            seen=seen,
-            cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
-            tries=("check the path", "ask the device's maker for its file"),
-        )
+    refuse_without_objects(description, data)
     return DescriptionFile(path, data, description)
 
 

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_proto.dictionary.model import did_you_mean
+from canopen_proto.machine import LocalProtocolError
 
 MAX_TEXT: Final = 1 << 20
 """Characters of a file: enough for a thousand objects or joints with all their names. A larger file was chosen by mistake."""
@@ -29,12 +30,15 @@ _KEYS: Final = rf"{_KEY}(?:[ \t]*\.[ \t]*{_KEY})*"
 _HEADER: Final = re.compile(rf"[ \t]*\[[ \t]*({_KEYS})[ \t]*\][ \t]*(?:#.*)?")
 _ARRAY: Final = re.compile(rf"[ \t]*\[\[[ \t]*({_KEYS})[ \t]*\]\][ \t]*(?:#.*)?")
 _ENTRY: Final = re.compile(rf"[ \t]*({_KEYS})[ \t]*=")
+_WORD: Final = re.compile(r"\w+")
 _SHOWN: Final = 40
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
     """Return the tables of a TOML text. Raises DictionaryError with line and column if it is not TOML. source: its name, for the
-    error."""
+    error. Raises LocalProtocolError for what is no text."""
+    if not isinstance(text, str):
+        raise LocalProtocolError(f"{source}: the text of a file is expected, not {type(text).__name__}")
     if len(text) > MAX_TEXT:
         raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
     try:
@@ -161,6 +165,19 @@ class TomlTable:
         """Add an error about the table, or about one of its keys. message: for people."""
         place = ": ".join(filter(None, (self.place, key)))
         self._reading.error(place, message, (*self.path, key) if key else self.path)
+
+    def error_naming(self, message: str) -> None:
+        """Add an error about values of the table, at the line of the first one that it has of those that the message names; or at
+        that in the fallback. message: for people."""
+        named = _WORD.findall(message)
+        table: TomlTable | None = self
+        while table is not None:
+            key = next((each for each in named if each in table.values), "")
+            if key:
+                self._reading.error(table.place, message, (*table.path, key))
+                return
+            table = table.fallback
+        self.error(message)
 
     def has(self, key: str) -> bool:
         """Return whether the table, or its fallback, has a value for a key."""

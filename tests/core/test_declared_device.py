@@ -19,6 +19,8 @@ from canopen_proto.dictionary.standard import STANDARD, standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
+from canopen_proto.multiplexer import mux
+from canopen_proto.sdo.events import ObjectWritten
 from canopen_proto.simulation.boot_loader import BootLoader, boot_loader_dictionary
 from tests.core.device_bench import PRE_OPERATIONAL, RESET_NODE, START, SYNC, DeviceBench
 from tests.examples import examples
@@ -78,6 +80,12 @@ class Kettle(DeclaredDevice):
     @water.on_read
     def _level(self) -> Any:
         return self.level
+
+
+class Bare(DeclaredDevice):
+    """Has nothing but what each device has."""
+
+    nameplate = Nameplate("Bare")
 
 
 def kettle(kind: type[Kettle] = Kettle) -> tuple[DeviceBench, Kettle]:
@@ -142,6 +150,8 @@ def test_a_class_without_a_nameplate_declares_for_those_below_it() -> None:
         nameplate = Nameplate("Whole")
 
     assert not hasattr(Shared, "dictionary")
+    with pytest.raises(LocalProtocolError, match="Shared has no nameplate: `nameplate = Nameplate"):
+        Shared(Outbox(), 5)
     assert Whole.dictionary.at(0x2000, 0).name == "Hours"
 
 
@@ -166,6 +176,44 @@ def test_a_class_without_a_nameplate_declares_for_those_below_it() -> None:
 def test_a_declaration_that_cannot_be_is_refused(wrong: Any, text: str) -> None:
     with pytest.raises(LocalProtocolError, match=text):
         wrong()
+
+
+def test_an_object_never_stands_in_place_of_what_a_device_is_made_of() -> None:
+    own = {name for name in {*dir(Bare), *vars(Bare(Outbox(), 5))} if not name.startswith("__")}
+    assert {"acting", "deadline", "node", "now", "out", "pdos", "period", "start", "_declared"} <= own
+    for name in own | {"nameplate", "__init__"}:
+        text = rf"Wrong\.{name}: 0x2000 'Period' needs another attribute.* node, now, on_sync, out"
+        with pytest.raises(LocalProtocolError, match=text):
+            type("Wrong", (DeclaredDevice,), {name: variable(0x2000, "Period", DataType.UNSIGNED16, 100)})
+    with pytest.raises(LocalProtocolError, match=r"Wrong\.period: .* \bstep\b"):
+        type("Wrong", (Kettle,), {"period": array(0x2000, "Periods", DataType.UNSIGNED16, 2)})
+
+
+@pytest.mark.parametrize(
+    ("facts", "text"),
+    [
+        ({"product_code": -1}, "product_code=-1 .*0..0xFFFFFFFF"),
+        ({"vendor_id": 1 << 40}, "vendor_id=1099511627776 "),
+        ({"revision": "x"}, "revision='x' "),
+        ({"serial_number": True}, "serial_number=True "),
+        ({"device_type": 1.0}, "device_type=1.0 "),
+        ({"vendor_name": None}, "vendor_name=None .*a text"),
+        ({"product_name": 5}, "product_name=5 "),
+        ({"hardware_version": 1}, "hardware_version=1 "),
+        ({"software_version": "1 \u0394"}, "VISIBLE_STRING"),
+        ({"description": b"kettle"}, "description=b'kettle' "),
+        ({"bit_rates": 500}, "bit_rates=500 "),
+        ({"bit_rates": {500_000}}, "500000.*kbit/s: 10, 20, 50"),
+    ],
+)
+def test_a_nameplate_that_cannot_be_is_refused_when_it_is_made(facts: dict[str, Any], text: str) -> None:
+    with pytest.raises(LocalProtocolError, match=text):
+        Nameplate(**{"product_name": "Kettle"} | facts)
+
+
+def test_what_is_no_nameplate_is_refused_with_its_class() -> None:
+    with pytest.raises(LocalProtocolError, match="Wrong.nameplate is 'Kettle', no Nameplate"):
+        type("Wrong", (DeclaredDevice,), {"nameplate": "Kettle"})
 
 
 def test_a_default_that_does_not_fit_is_refused() -> None:
@@ -339,6 +387,46 @@ def test_an_exception_of_an_access_is_an_abort() -> None:
     bench.wait(1)
     assert bench.number(0x2000) == 1
     assert "stop 6200" not in device.log
+
+
+def test_a_client_is_never_told_that_a_write_was_done_if_the_device_failed_to_act_on_it() -> None:
+    class Faulty(Kettle):
+        long = variable(0x2001, "Long", DataType.VISIBLE_STRING, "old")
+        date = variable(0x2002, "Date", DataType.UNSIGNED8)
+
+        @long.on_write
+        def _long(self, value: str) -> None:
+            raise OSError(value)
+
+        def _limited(self, value: int) -> None:
+            self.probes[1] = value  # before the fault: a TPDO tells it
+            raise OSError(value)
+
+    bench, device = kettle(Faulty)
+    bench.tell(START)
+    store = device.node.values.store
+    store.update({mux(0x1020, 1): 7, mux(0x1020, 2): 8})
+    assert bench.write(0x2000, 0, 50, 1) == AbortCode.CANNOT_TRANSFER
+    assert device.limit == bench.number(0x2000) == 100, "a write that is aborted changes nothing"
+    assert store[mux(0x1020, 1)] == 7, "so what is configured has not changed either"
+    in_segments = bench.tell("605#2101200007000000", f"605#01{b'further'.hex()}")
+    assert in_segments[-1] == "585#8001200020000008"
+    assert device.long == "old"
+    assert [each.function for each in bench.seen(DeviceCodeFailed)] == ["_limited", "_long"]
+    assert bench.seen(ObjectWritten) == []
+    assert bench.write(0x2002, 0, 3, 1) is None
+    assert (device.date, store[mux(0x1020, 1)]) == (3, 0)
+
+
+def test_a_value_of_a_pdo_stays_though_the_device_failed_to_act_on_it() -> None:
+    class Faulty(Kettle):
+        def _heat(self, subindex: int, value: int) -> None:
+            raise OSError(value)
+
+    bench, device = kettle(Faulty)
+    bench.tell(START, "205#0700")
+    assert list(device.heaters) == [7, 0]
+    assert [each.function for each in bench.seen(DeviceCodeFailed)] == ["_heat", "_heat"]
 
 
 # ---- a device with a program ----

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.follower import Follower
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Machine, Outbox, Outcome, Time
 from canopen_proto.network import MAX_UNDRAINED_EVENTS, EventsDropped, Network
 from canopen_proto.nmt import NmtCommand, NmtCommandSent, NmtMaster
+from canopen_proto.procedures.objects import read
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, Request, StepTimeoutError, Wait, act, sleep, wait_for_event
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSent
 from tests.core.machines import Alarm, Answered, Box, Clerk, Heard, Rang, Withdrawn
 
@@ -404,3 +408,47 @@ def test_a_procedure_times_out_by_the_networks_deadline() -> None:
     assert isinstance(failed, ProcedureFailed)
     assert isinstance(failed.error, StepTimeoutError)
     assert str(failed.error) == "the frame did not come within 0.005 s"
+
+
+# ---- what is attached ----
+
+
+def test_a_request_to_a_node_that_is_not_attached_never_stays_without_an_outcome() -> None:
+    network = Network()
+    node = RemoteNode(network.out, 9, drive_dictionary())
+
+    def failure(requester: RemoteNode) -> tuple[str, list[Frame]]:
+        request_id = network.run(read(requester, "statusword"), 0)
+        frames, events = network.drain(0)
+        (ended,) = events
+        assert isinstance(ended, ProcedureFailed)
+        assert ended.request_id == request_id
+        assert isinstance(ended.error, LocalProtocolError)
+        return str(ended.error), frames
+
+    told = "the RemoteNode of node 9 is not attached, so no answer would reach it: network.attach(...) comes first"
+    assert failure(node) == (told, [])
+    network.attach(node)
+    network.run(read(node, "statusword"), 0)
+    frames, events = network.drain(0)
+    assert (len(frames), events) == (1, [])
+    assert network.next_deadline() < NEVER
+    node.sdo.abort_all(AbortCode.GENERAL_ERROR, 0)
+    network.detach(node)
+    network.drain(0)
+    assert failure(node) == (told, [])
+
+
+def test_a_machine_is_attached_once_and_each_node_has_one_view() -> None:
+    network, other = Network(), Network()
+    node = RemoteNode(network.out, 9, drive_dictionary())
+    network.attach(node)
+    with pytest.raises(LocalProtocolError, match="the RemoteNode is attached already"):
+        network.attach(node)
+    second = RemoteNode(network.out, 9, drive_dictionary())
+    with pytest.raises(LocalProtocolError, match="there is a RemoteNode of node 9 in this network already"):
+        network.attach(second)
+    network.attach(RemoteNode(network.out, 10, drive_dictionary()))
+    other.attach(RemoteNode(other.out, 9, drive_dictionary()))
+    network.detach(node)
+    network.attach(second)

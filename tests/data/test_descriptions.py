@@ -57,6 +57,32 @@ def test_a_file_goes_before_a_sample(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert list(load_description(tmp_path / "sample_io.xdd").dictionary.objects) == [0x2000]
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"# A page\n\nSee [the other](page.md).\n",
+        b"\x7fELF\x02\x01\x00\xff" * 50,
+        b"<ISO15745ProfileContainer><broken",
+        b"<html><body/></html>",
+        b"[FileInfo]\nFileName=a.eds\n",
+    ],
+)
+def test_a_file_without_any_object_is_never_taken_for_a_device(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "README.md"
+    path.write_bytes(content)
+    for load in (load_description, load_description_with_names):
+        with pytest.raises(DataError, match=r"CO301: .*README\.md describes no object") as caught:
+            load(path)
+        assert "no EDS, DCF, XDD or XDC" in str(caught.value)
+
+
+def test_a_file_with_one_object_is_taken_however_bad_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "bad.eds"
+    path.write_bytes(b"junk\n[1000]\nDataType=junk\n")
+    assert list(load_description(path).dictionary.objects) == [0x1000]
+
+
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(
         DataError,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +14,7 @@ from canopen_data.eds import EdsDocument, read_eds
 from canopen_data.findings import DictionaryError, Severity
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Values, Variable
+from canopen_proto.machine import LocalProtocolError
 from tests.vendor_files import INI_NAMES, load, needs_vendor_files
 
 DATA = Path(__file__).parents[1] / "files"
@@ -391,3 +393,9 @@ def test_a_makers_file_is_read(name: str) -> None:
         line, column = description.place_of(variable.index, variable.subindex, "DataType")
         assert line > 0
         assert column > 0
+
+
+@pytest.mark.parametrize("path", ["/files/[old] x.EDS", "sample_io.eds", Path("x.eds")])
+def test_a_path_is_never_parsed_as_a_text(path: Any) -> None:
+    with pytest.raises(LocalProtocolError, match=r"(?i)(x|sample_io)\.eds' is no text of an EDS.*load_description"):
+        read_eds(path)

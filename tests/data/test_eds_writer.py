@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import datetime
+import math
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import pytest
 
@@ -13,7 +16,7 @@ from canopen_data.description import Commissioning, DeviceDescription, FileInfo,
 from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_data.eds.writer_sections import sections_of
-from canopen_proto.datatypes import DataType
+from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
@@ -361,3 +364,70 @@ def test_a_section_before_all_others() -> None:
     read = read_eds("[1017]\nParameterName=Heartbeat\nDataType=6\nAccessType=rw\n")
     written = write_eds(replace(read, file_info=FileInfo("a.eds")))
     assert written.startswith("[FileInfo]\nFileName=a.eds\nFileVersion=0\nFileRevision=0\n\n[1017]\nParameterName=Heartbeat\n")
+
+
+def only(**facts: Any) -> DeviceDescription:
+    """The description of one object."""
+    variable = Variable(0x2000, 0, "Speed", **{"data_type": DataType.UNSIGNED16, **facts})
+    return describe(ObjectDictionary([Object.of("Speed", [variable])]))
+
+
+@pytest.mark.parametrize(
+    ("facts", "text"),
+    [
+        ({"default": "abc"}, "default 'abc' .*UNSIGNED16"),
+        ({"default": 99999}, "default 99999 .*0..65535"),
+        ({"default": 1.5}, "default 1.5 "),
+        ({"default": -1}, "default -1 "),
+        ({"default": -1, "adds_node_id": True}, "default -1 "),
+        ({"configured": 70000}, "configured 70000 "),
+        ({"low_limit": -5}, "low_limit -5 "),
+        ({"high_limit": 1.5}, "high_limit 1.5 "),
+        ({"data_type": DataType.REAL32, "high_limit": math.nan}, "high_limit nan "),
+        ({"data_type": DataType.REAL32, "default": 1e300}, "default 1e[+]300 "),
+        ({"data_type": DataType.VISIBLE_STRING, "default": 5}, "default 5 "),
+        ({"data_type": DataType.VISIBLE_STRING, "high_limit": 1.5}, "high_limit 1.5 "),
+        ({"data_type": DataType.OCTET_STRING, "default": "ab"}, "default 'ab' "),
+        ({"data_type": DataType.BOOLEAN, "default": 2}, "default 2 "),
+        ({"factor": 0.0}, "factor 0.0 "),
+        ({"factor": math.inf}, "factor inf "),
+    ],
+)
+def test_a_value_that_its_own_reader_would_not_give_back_is_never_written(facts: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueRangeError, match=rf"Speed \(0x2000:00\): {text}"):
+        write_eds(only(**facts), FileKind.DCF, node_id=5)
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"default": True},
+        {"default": 0xFFFF, "adds_node_id": True},
+        {"data_type": DataType.INTEGER64, "default": -(1 << 63), "low_limit": -(1 << 63), "high_limit": (1 << 63) - 1},
+        {"data_type": DataType.REAL32, "default": 0.1, "high_limit": math.inf, "low_limit": 3},
+        {"data_type": DataType.BOOLEAN, "default": False, "high_limit": 1},
+        {"data_type": DataType.OCTET_STRING, "default": b"\x00\xff"},
+        {"data_type": DataType.TIME_OF_DAY, "default": datetime.datetime(2026, 1, 2, 3, 4, 5, 6000, datetime.UTC)},
+        {"data_type": DataType.TIME_DIFFERENCE, "default": datetime.timedelta(days=1, milliseconds=5)},
+        {"low_limit": 10, "high_limit": 5},
+    ],
+)
+def test_what_can_be_kept_is_written_and_read_again(facts: dict[str, Any]) -> None:
+    variable = read_eds(write_eds(only(**facts))).dictionary.variable((0x2000, 0))
+    assert {name: getattr(variable, name) for name in facts} == facts
+
+
+def test_a_data_type_that_does_not_exist_is_told_with_its_object() -> None:
+    with pytest.raises(LocalProtocolError, match=r"Speed \(0x2000:00\): there is no data type 99"):
+        only(data_type=99)
+
+
+def test_the_kind_of_a_new_file_is_never_guessed_wrong() -> None:
+    assert "NodeID=9\n" in write_eds(sample(), "DCF", node_id=9)  # type: ignore[arg-type]
+    with pytest.raises(LocalProtocolError, match="an EDS or a DCF can be written here, no PDF"):
+        write_eds(sample(), "PDF")  # type: ignore[arg-type]
+    for kind in (None, FileKind.EDS, FileKind.DCF):
+        with pytest.raises(LocalProtocolError, match=r"node-ID 200 is outside 1\.\.127"):
+            write_eds(sample(), kind, node_id=200)
+    with pytest.raises(LocalProtocolError, match="an EDS has no node-ID: kind=FileKind.DCF"):
+        write_eds(sample(), node_id=9)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
 
 from canopen_data.checks import check
-from canopen_data.describing import lists_of
+from canopen_data.describing import describe, lists_of
 from canopen_data.description import Commissioning, DeviceDescription, DeviceInfo, FileInfo, FileKind
 from canopen_data.descriptions import load_description
 from canopen_data.xdd import read_xdd
 from canopen_data.xdd.writer import write_xdd
-from canopen_proto.datatypes import DataType
+from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.testing.strategies import device_descriptions
@@ -88,3 +89,10 @@ def test_characters_that_xml_cannot_have() -> None:
     assert found.dictionary.at(0x2000, 0).name == 'a "b" <c> & d? e'
     assert found.file_info.created_by == "me"
     assert found.device_info == DeviceInfo()
+
+
+@pytest.mark.parametrize("facts", [{"default": 99999}, {"default": -1}, {"default": "abc"}, {"low_limit": -5}, {"factor": 0.0}])
+def test_a_value_that_its_own_reader_would_not_give_back_is_never_written(facts: dict[str, Any]) -> None:
+    variable = Variable(0x2000, 0, "Speed", DataType.UNSIGNED16, **facts)
+    with pytest.raises(ValueRangeError, match=r"Speed \(0x2000:00\): .* cannot be kept in the file \(UNSIGNED16\)"):
+        write_xdd(describe(ObjectDictionary([Object.of("Speed", [variable])])))

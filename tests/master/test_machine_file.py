@@ -7,6 +7,7 @@ import re
 import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -41,7 +42,7 @@ from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.axis.watchdog import Watchdog
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import Mode
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.multiplexer import Mux, mux
 from tests.examples import examples
 
@@ -196,12 +197,15 @@ ERRORS = [
     ),
     ("[buses.can0]\nbitrate = 500", 'm.toml:2:1: error: buses.can0: bitrate: a bit rate such as "500k" or "1M" is expected'),
     ("[buses.can0]\n[buses.b]\nlocator = 'can0'", "m.toml:2:2: error: buses.b: it has the locator of 'can0'"),
-    ("[buses.can0]\n[master]\ncycle = '0'", "m.toml:3:1: error: master: cycle: a time such as"),
-    ("[buses.can0]\n[master]\ncycle = 10", "m.toml:3:1: error: master: cycle: a time such as"),
+    (
+        "[buses.can0]\n[master]\ncycle = '0ms'",
+        'm.toml:3:1: error: master: cycle: a time above 0, such as "10ms" is expected, not',
+    ),
+    ("[buses.can0]\n[master]\ncycle = 10", "m.toml:3:1: error: master: cycle: a time above 0, such as"),
     ("[buses.can0]\n[master]\nwatchdog = true", "m.toml:3:1: error: master: watchdog: false, or a table is expected, not True"),
     (
         "[buses.can0]\n[master.watchdog]\ntimeout = '1us'",
-        "m.toml:2:2: error: master.watchdog: period 100000000 ns and timeout 1000 ns",
+        "m.toml:3:1: error: master.watchdog: period 100000000 ns and timeout 1000 ns",
     ),
     ("[buses.can0]\n[nodes.a]", "m.toml:2:2: error: nodes.a: it has no id (node-ID)"),
     ("[buses.can0]\n[nodes]\na = 5", "m.toml:3:1: error: nodes: a: a table is expected, not 5"),
@@ -222,13 +226,13 @@ ERRORS = [
 BOOT = "[buses.can0]\n[nodes.a]\nid = 5\n[nodes.a.boot]\n"  # the next line is the fifth
 ERRORS_OF_BOOT = [
     ("mandatori = true", "m.toml:5:1: error: nodes.a.boot: there is no entry 'mandatori'; did you mean mandatory?"),
-    ("serial = -1", "m.toml:4:2: error: nodes.a.boot: serial is -1; it has to be in 0..4294967295"),
+    ("serial = -1", "m.toml:5:1: error: nodes.a.boot: serial is -1; it has to be in 0..4294967295"),
     ("heartbeat = 200", "m.toml:5:1: error: nodes.a.boot: heartbeat: a time such as"),
-    ("heartbeat = '1.5ms'", "m.toml:4:2: error: nodes.a.boot: heartbeat has to be whole milliseconds, 65535 at most"),
-    ("heartbeat = '1s'\nheartbeat_timeout = '1s'", "m.toml:4:2: error: nodes.a.boot: heartbeat_timeout must be longer than"),
-    ("heartbeat = '1s'\nguard_time = '1s'", "m.toml:4:2: error: nodes.a.boot: a node has a heartbeat or is guarded, not both"),
-    ("guard_time = '1s'\nlife_time_factor = 0", "m.toml:4:2: error: nodes.a.boot: guarding needs a life_time_factor above 0"),
-    ("program = 'a.bin'", "m.toml:4:2: error: nodes.a.boot: program needs software: the number in 0x1F56 that the program has"),
+    ("heartbeat = '1.5ms'", "m.toml:5:1: error: nodes.a.boot: heartbeat has to be whole milliseconds, 65535 at most"),
+    ("heartbeat = '1s'\nheartbeat_timeout = '1s'", "m.toml:6:1: error: nodes.a.boot: heartbeat_timeout must be longer than"),
+    ("heartbeat = '1s'\nguard_time = '1s'", "m.toml:5:1: error: nodes.a.boot: a node has a heartbeat or is guarded, not both"),
+    ("guard_time = '1s'\nlife_time_factor = 0", "m.toml:6:1: error: nodes.a.boot: guarding needs a life_time_factor above 0"),
+    ("program = 'a.bin'", "m.toml:5:1: error: nodes.a.boot: program needs software: the number in 0x1F56 that the program has"),
     ("[network]\nstart = 'some'", "m.toml:6:1: error: network: start: 'each' or 'all' or 'none' is expected, not 'some'"),
     ("[defaults.nodes]\nboot = { x = 1 }", "m.toml:6:1: error: defaults.nodes.boot: there is no entry 'x'"),
 ]
@@ -239,13 +243,23 @@ ERRORS_OF_JOINTS = [
     ("node = 'b'", "m.toml:6:2: error: joints.a: there is a node 'a' too, which is another drive"),
     ("unitt = 'degree'", "m.toml:7:1: error: joints.a: there is no entry 'unitt'; did you mean unit?"),
     ("unit = 'deg'", "m.toml:7:1: error: joints.a: unit: 'radian' or 'degree' or 'turn' or 'millimetre' is expected, not 'deg'"),
-    ("direction = 2", "m.toml:6:2: error: joints.a: direction must be 1 or -1; it is 2"),
+    ("direction = 2", "m.toml:7:1: error: joints.a: direction must be 1 or -1; it is 2"),
     ("offset = 1.5", "m.toml:7:1: error: joints.a: offset: a whole number is expected, not 1.5"),
+    ("unit = 'turn'\nmin_position = 5\nmax_position = 2", "m.toml:8:1: error: joints.a: min_position must be below max_position"),
+    ("halt_time = '1s'\nreaction_time = '0ms'", "m.toml:8:1: error: joints.a: reaction_time must be above 0; it is 0 ns"),
+    (
+        "unit = 'turn'\n[defaults.joints]\nmin_position = 5\nmax_jerk = 0\n[joints.b]\nunit = 'turn'",
+        "m.toml:10:1: error: defaults.joints: max_jerk must be above 0, inf for no limit; it is 0",
+    ),
+    (
+        "unit = 'turn'\nmax_position = 2\n[defaults.joints]\nmin_position = 5",
+        "m.toml:8:1: error: joints.a: min_position must be below max_position; they are 5.0 and 2.0",
+    ),
     ("max_speed = nan", "m.toml:7:1: error: joints.a: max_speed: a number is expected, not nan"),
     ("max_speed = true", "m.toml:7:1: error: joints.a: max_speed: a number is expected, not True"),
     (f"max_speed = 1{'0' * 400}", "m.toml:7:1: error: joints.a: max_speed: a number is expected, not 1000"),
     ("sto_input = { object = '60FDx', bit = 1 }", "m.toml:7:1: error: joints.a: sto_input: { object = \"60FD\", bit"),
-    ("sto_input = { object = '60FD', bit = 64 }", "m.toml:6:2: error: joints.a: sto_input: bit 64 = 1 is no bit of an object"),
+    ("sto_input = { object = '60FD', bit = 64 }", "m.toml:7:1: error: joints.a: sto_input: bit 64 = 1 is no bit of an object"),
     ("max_position = 5", "m.toml:7:1: error: joints.a: max_position: in which unit? unit = 'radian' or 'degree' or 'turn' or"),
     ("counts_per_turn = 5", "m.toml:7:1: error: joints.a: counts_per_turn: it needs unit = 'radian' or 'degree' or 'turn'"),
     ("counts_per_turn = 0\nunit = 'turn'", "m.toml:7:1: error: joints.a: counts_per_turn: a number above 0 is expected, not 0"),
@@ -491,3 +505,9 @@ def test_a_chain_of_joints_with_and_without_files() -> None:
     assert chain_defaults(("none",), machine.nodes, machine.joints) == ("ip", False)
     assert chain_defaults(("tilt",), machine.nodes, machine.joints) == ("auto", True)
     assert replace(machine, source="x") == machine
+
+
+@pytest.mark.parametrize("no_text", [None, b"[buses.can0]", Path("machine.toml")])
+def test_what_is_no_text_is_told_as_such(no_text: Any) -> None:
+    with pytest.raises(LocalProtocolError, match="machine.toml: the text of a file is expected, not"):
+        parse_machine(no_text)

@@ -142,8 +142,10 @@ class AxisSettings:
                 raise LocalProtocolError(f"{name} must be a finite number above 0, or None for the drive's own; it is {rate!r}")
         if self.homing_method is not None and not -128 <= self.homing_method <= 127:
             raise LocalProtocolError(f"homing_method must be from -128 to 127; it is {self.homing_method!r}")
-        if self.reaction_time <= 0 or self.halt_time <= 0 or self.obeys_within <= 0:
-            raise LocalProtocolError("reaction_time, halt_time and obeys_within must be above 0: they are in ns")
+        for name in ("reaction_time", "halt_time", "obeys_within"):
+            time: Time = getattr(self, name)
+            if time <= 0:
+                raise LocalProtocolError(f"{name} must be above 0; it is {time} ns")
         if self.mode_change_state not in MODE_CHANGE_STATES:
             raise LocalProtocolError(f"mode_change_state must be one of {', '.join(MODE_CHANGE_STATES)}")
         for name, bit in (("sto_input", self.sto_input), ("brake_bit", self.brake_bit)):

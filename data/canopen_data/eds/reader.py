@@ -22,6 +22,7 @@ Source: CiA 306-1 v1.4.0.
 
 from __future__ import annotations
 
+from os import PathLike
 from types import MappingProxyType
 from typing import Final
 
@@ -29,7 +30,7 @@ from canopen_data.description import DeviceDescription, FileKind
 from canopen_data.eds import device
 from canopen_data.eds.compact import Compact
 from canopen_data.eds.encodings import text_of
-from canopen_data.eds.ini import MAX_FILE_SIZE, EdsDocument, Findings, Section, quoted
+from canopen_data.eds.ini import MAX_FILE_SIZE, MAX_QUOTED, EdsDocument, Findings, Section, quoted
 from canopen_data.eds.keys import Fields
 from canopen_data.eds.modules import Modules
 from canopen_data.eds.numbers import read_number
@@ -39,6 +40,7 @@ from canopen_data.findings import DictionaryError, Severity
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
+from canopen_proto.machine import LocalProtocolError
 
 _TYPES: Final = {int(each): each for each in DataType}
 _OBJECT_TYPES: Final[dict[str | None, ObjectType]] = {
@@ -46,6 +48,7 @@ _OBJECT_TYPES: Final[dict[str | None, ObjectType]] = {
 }
 _CODES: Final = {int(each) for each in ObjectType}
 _WITH_SUBS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
+_SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
 _NO_SUBS: Final[dict[int, Section]] = {}
 
 
@@ -57,9 +60,13 @@ def read_eds(
 
     Any bytes are accepted: the description's findings hold everything wrong with them. With strict, raises the first error as a
     DictionaryError. The kind is DCF if the file commissions a device or configures one of its objects. The default of an object
-    that has none is None; for a default relative to the node-ID, the number added to the node-ID is kept. Source: CiA 306-1
-    v1.4.0.
+    that has none is None; for a default relative to the node-ID, the number added to the node-ID is kept.
+
+    Raises LocalProtocolError for a path in place of a text: `load_description` reads a file. Source: CiA 306-1 v1.4.0.
     """
+    if isinstance(data, PathLike) or (isinstance(data, str) and data[-4:].lower() in _SUFFIXES and "\n" not in data):
+        told = f"{str(data)[:MAX_QUOTED]!r} is no text of an EDS"
+        raise LocalProtocolError(f"{told}: give the text, or its bytes; if it is a path, `load_description` reads the file")
     findings = Findings(source)
     if len(data) > MAX_FILE_SIZE:
         message = f"the file has more than {MAX_FILE_SIZE >> 20} MiB; only its beginning was read"

@@ -21,7 +21,7 @@ from canopen_data.eds.ini import EdsDocument
 from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer_document import changed_text, foreign_text
 from canopen_data.eds.writer_sections import Sections, sections_of, sub_name
-from canopen_data.eds.writer_values import one_line
+from canopen_data.eds.writer_values import check_kept, one_line
 from canopen_proto.machine import LocalProtocolError, check_node_id
 
 _OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
@@ -36,16 +36,20 @@ def write_eds(
 ) -> str:
     """Return the text of an EDS or a DCF.
 
-    kind: EDS or DCF; None: the description's own. An EDS made of a DCF has no configured values (`without_configured`); for a DCF
-    made of an EDS see `with_configured`, too. node_id: of the DCF; None: that of its commissioning. file_info: of the new file
-    (its name, its author and date: the core has no clock); None: that of the description.
+    kind: EDS or DCF; None: DCF for what describes one device (DCF, XDC), else EDS. An EDS made of a DCF has no configured values
+    (`without_configured`); for a DCF made of an EDS see `with_configured`, too. node_id: of the DCF; None: that of its
+    commissioning. file_info: of the new file (its name, its author and date: the core has no clock); None: that of the
+    description.
 
     A variable that has its name in the old file among its aliases keeps that name in the new one. These files cannot hold line
     breaks, nor blanks at the ends of names and texts; breaks become blanks.
 
-    Raises LocalProtocolError for another kind, an invalid node-ID, and a DCF made of another kind of file without a node-ID.
+    Raises LocalProtocolError for another kind, a node-ID outside 1..127 or for an EDS, and a DCF made of another kind of file
+    without a node-ID; ValueRangeError for a value that the file cannot give back: one that the object's type cannot hold.
     """
     wanted = _of_kind(description, kind, node_id)
+    for variable in wanted.dictionary:
+        check_kept(variable)
     if file_info is not None:
         wanted = replace(wanted, file_info=file_info)
     after = sections_of(wanted)
@@ -94,12 +98,16 @@ def _of_kind(description: DeviceDescription, kind: FileKind | None, node_id: int
     is_dcf = description.kind in _OF_ONE_DEVICE
     if kind is None:
         kind = FileKind.DCF if is_dcf else FileKind.EDS
-    if kind is FileKind.EDS:
-        return without_configured(description) if is_dcf else description
-    if kind is not FileKind.DCF:
+    if kind not in (FileKind.EDS, FileKind.DCF):
         raise LocalProtocolError(f"an EDS or a DCF can be written here, no {kind}")
     if node_id is not None:
-        commissioning = replace(description.commissioning or Commissioning(), node_id=check_node_id(node_id))
+        check_node_id(node_id)
+    if kind == FileKind.EDS:
+        if node_id is not None:
+            raise LocalProtocolError("an EDS has no node-ID: kind=FileKind.DCF makes the file of one device")
+        return without_configured(description) if is_dcf else description
+    if node_id is not None:
+        commissioning = replace(description.commissioning or Commissioning(), node_id=node_id)
         return replace(description, kind=FileKind.DCF, commissioning=commissioning)
     if not is_dcf and description.commissioning is None:
         raise LocalProtocolError("a DCF is of one device: it needs a node-ID")

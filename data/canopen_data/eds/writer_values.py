@@ -19,8 +19,9 @@ import math
 import re
 from typing import Final
 
+from canopen_data.eds.numbers import read_number, read_value
 from canopen_proto import indices
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, text_for_people
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_number, text_for_people
 from canopen_proto.dictionary.objects import Variable
 
 BYTES_KEY: Final = "_ParameterBytes"
@@ -28,6 +29,7 @@ BYTES_KEY: Final = "_ParameterBytes"
 NOT_READ_KEY: Final = "_NotRead"
 """Key of the reason why a backup has no value of an object."""
 
+_TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 _PLAIN_TEXT: Final = re.compile(r"[!-~](?:[ -~]*[!-~])?")
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _TIMES: Final = (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_WINDOW_LENGTH, indices.HIGH_RESOLUTION_TIME_STAMP)
@@ -80,6 +82,35 @@ def limit_text(variable: Variable, limit: int | float | None) -> str:
     if limit is None:
         return ""
     return _integer(variable, limit) if isinstance(limit, int) else repr(limit)
+
+
+def check_kept(variable: Variable) -> None:
+    """Raise ValueRangeError if a number or octets of the variable would not be read again as they are. Of texts only the type
+    is looked at; a default of NaN, or without octets, has no text."""
+    given = (
+        ("default", variable.default, variable.adds_node_id),
+        ("configured", variable.configured, variable.configured_adds_node_id),
+    )
+    for what, value, adds_node_id in given:
+        if value is None or value != value or (isinstance(value, str) and variable.data_type in _TEXTS):
+            continue
+        text = value_text(variable, value, adds_node_id)
+        found, _, remark, _ = read_value(text, variable.data_type)
+        if text and found != value:
+            raise _not_kept(variable, what, value, remark)
+    for what, limit in (("low_limit", variable.low_limit), ("high_limit", variable.high_limit)):
+        if limit is not None:
+            text = limit_text(variable, limit)
+            found, remark = read_value(text, variable.data_type)[::2] if is_number(variable.data_type) else read_number(text)
+            if found != limit:
+                raise _not_kept(variable, what, limit, remark)
+    if not variable.factor or not math.isfinite(variable.factor):
+        raise _not_kept(variable, "factor", variable.factor, "a factor is a number other than 0")
+
+
+def _not_kept(variable: Variable, what: str, value: Value, remark: str) -> ValueRangeError:
+    reason = f": {remark}" if remark else ""
+    return ValueRangeError(f"{variable.label}: {what} {value!r} cannot be kept in the file ({variable.data_type.name}){reason}")
 
 
 def one_line(text: str) -> str:

@@ -19,7 +19,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from canopen_data.configured import without_configured
 from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
-from canopen_data.eds.writer_values import limit_text, one_line, value_text
+from canopen_data.eds.writer_values import check_kept, limit_text, one_line, value_text
 from canopen_data.xdd.parameters import ELEMENTARY
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
@@ -49,14 +49,17 @@ def write_xdd(description: DeviceDescription, kind: FileKind | None = None, *, f
     """Return the text of an XDD or an XDC, to be encoded in UTF-8.
 
     kind: XDD or XDC; None: XDC for a description with a commissioning, else XDD. An XDD has no configured values. file_info: of
-    the new file; None: that of the description. Raises LocalProtocolError for another kind.
+    the new file; None: that of the description. Raises LocalProtocolError for another kind, ValueRangeError for a value that the
+    file cannot give back: one that the object's type cannot hold.
     """
     if kind is None:
         kind = FileKind.XDD if description.commissioning is None else FileKind.XDC
     if kind not in _KINDS:
         raise LocalProtocolError(f"an XDD or an XDC can be written here, no {kind}")
-    if kind is FileKind.XDD and description.commissioning is not None:
+    if kind == FileKind.XDD and description.commissioning is not None:
         description = without_configured(description)
+    for variable in description.dictionary:
+        check_kept(variable)
     info = description.file_info if file_info is None else file_info
     root = Element("ISO15745ProfileContainer", {"xmlns": _NAMESPACE, "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance"})
     _device_profile(_body(root, "Device", "ProfileBody_Device_CANopen", info, description), description, info)

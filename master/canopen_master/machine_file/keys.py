@@ -113,7 +113,7 @@ def take_settings(table: toml.TomlTable, settings: type[S], **known: Any) -> S |
     try:
         return settings(**known, **table.take_all(names))
     except LocalProtocolError as error:
-        table.error(str(error))
+        table.error_naming(str(error))
         return None
 
 
@@ -130,7 +130,9 @@ MODES: Final[dict[str, Mode | None]] = {
 }
 """The modes of a chain."""
 PER_TURN: Final = "counts_per_turn"
-_CYCLE: Final = DURATION._replace(fits=lambda value: DURATION.fits(value) and DURATION.convert(value) > 0)
+_CYCLE: Final = DURATION._replace(
+    expected='a time above 0, such as "10ms"', fits=lambda value: DURATION.fits(value) and DURATION.convert(value) > 0
+)
 _JOINTS: Final = toml.texts("a list of joints")._replace(
     fits=lambda value: isinstance(value, list) and bool(value) and all(isinstance(each, str) for each in value)
 )

@@ -68,7 +68,7 @@ def parse_machine(content: str, source: str = "machine.toml", folder: Path | Non
     """Return the machine that a text describes. folder: of the files that it names; None: they are not looked for. source: the
     name for messages.
 
-    Raises DictionaryError with every error in it.
+    Raises DictionaryError with every error in it, LocalProtocolError for what is no text.
     """
     return _machine_of(parse_toml(content, source), TomlReading(source, "machine", places_of(content)), folder)
 
