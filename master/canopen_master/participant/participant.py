@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError
 from canopen_master.participant.bus import Bus
-from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher
+from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher, check_callback, event_kinds
 from canopen_master.participant.pump import Pump
 from canopen_master.participant.requests import OpenRequest
 from canopen_master.participant.subscription import Subscription
@@ -304,10 +304,12 @@ class Participant:
 
     @protected
     def subscribe(self, kinds: tuple[type[E], ...], bus: Bus | None = None, node_id: int = 0) -> Subscription[E]:
-        """Return a Subscription to all events of these kinds from now on, of one bus and node, or of all (None, 0)."""
+        """Return a Subscription to all events of these kinds from now on, of one bus and node, or of all (None, 0).
+
+        Raises LocalProtocolError for no kind, and for one that is no class derived from Event.
+        """
         self.check_open()
-        if not kinds:
-            raise LocalProtocolError("events of which kinds? Event means all")
+        kinds = event_kinds(kinds)
         subscription: Subscription[E] = Subscription(self._unsubscribe)
         self._subscriptions[subscription] = self._dispatcher.watch(kinds, subscription.put, bus, node_id, subscription.put_all)
         self._tell_networks()
@@ -322,8 +324,13 @@ class Participant:
         self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
     ) -> Watcher:
         """Call `callback` with each event of these kinds, in the pump's turn. It must not raise or block. bus: only of this one;
-        None: of all. node_id: only of this one; 0: of all."""
-        watcher = self._dispatcher.watch(kinds, callback, bus, node_id)
+        None: of all. node_id: only of this one; 0: of all.
+
+        Raises LocalProtocolError for kinds as `subscribe`, and for a callback that is no plain function: a coroutine would not be
+        awaited.
+        """
+        check_callback(callback)
+        watcher = self._dispatcher.watch(event_kinds(kinds), callback, bus, node_id)
         self._tell_networks()
         return watcher
 
