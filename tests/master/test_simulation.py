@@ -5,6 +5,7 @@ from functools import partial
 import pytest
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
+from canopen_master.simulation import simulated_drives
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
@@ -58,6 +59,17 @@ async def test_a_failing_bus_ends_the_simulation() -> None:
             await nursery.start(simulate, cable, powerballs(3))
             cable.cut()
     assert cable.closed == 1
+
+
+@pytest.mark.both_loops
+@pytest.mark.parametrize("end", [SystemExit(3), KeyboardInterrupt()])
+@virtual_time
+async def test_what_ends_a_program_leaves_the_block_of_simulated_drives_as_it_is(end: BaseException) -> None:
+    with pytest.raises(type(end)) as raised:
+        async with simulated_drives([(BUS, 3)]), open_master(BUS) as master:
+            await master.node(3).read("statusword")
+            raise end
+    assert raised.value is end
 
 
 @pytest.mark.parametrize("ended_by", [BusStateChanged("able", BusState.ACTIVE, "it is back"), Frame.parse("080#")])
