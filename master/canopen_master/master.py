@@ -15,8 +15,9 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
 from canopen_master.node import Node
 from canopen_master.participant.bus import Bus
-from canopen_master.participant.participant import Participant, nanoseconds
+from canopen_master.participant.participant import Participant
 from canopen_master.participant.subscription import Subscription
+from canopen_master.seconds import nanoseconds
 from canopen_master.watchdog import NodeWatchdog, Watchdogs
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import Axis, AxisSettings
@@ -63,8 +64,8 @@ class Master(Participant):
     ) -> None:
         """transports: open ones, by name. aliases: more names for them. For the rest, see `open_master`."""
         super().__init__(transports, aliases)
-        self._sdo_timeout = nanoseconds(sdo_timeout)
-        self._heartbeat_timeout = nanoseconds(heartbeat_timeout)
+        self._sdo_timeout = nanoseconds("sdo_timeout", sdo_timeout, above_zero=True)
+        self._heartbeat_timeout = nanoseconds("heartbeat_timeout", heartbeat_timeout)
         self._dictionary = dictionary
         self._nodes: dict[tuple[Bus, int], Node] = {}
         self._files: dict[str, ObjectDictionary] = {}

@@ -13,6 +13,7 @@ from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant
 from canopen_master.participant.peer import Peer
 from canopen_master.participant.subscription import Subscription
+from canopen_master.seconds import check_seconds, nanoseconds
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.watchdog import Watchdogs
@@ -27,7 +28,7 @@ from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_
 from canopen_proto.drives.cia402.states import Command, enables_operation
 from canopen_proto.explained import counted
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoDifference
@@ -97,7 +98,7 @@ class Node(Peer):
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for `timeout` seconds, from the first one on; 0 ends this."""
-        self.remote.heartbeat.set_timeout(round(timeout * SECOND), self.now())
+        self.remote.heartbeat.set_timeout(nanoseconds("timeout", timeout), self.now())
         self._participant.pump.pump()
 
     # ---- objects ----
@@ -321,7 +322,7 @@ class Node(Peer):
 
         Events: HeartbeatReceived; NodeGuardingLost after guard_time * life_time_factor without an answer.
         """
-        self.remote.start_guarding(round(guard_time * SECOND), life_time_factor, self.now())
+        self.remote.start_guarding(nanoseconds("guard_time", guard_time, above_zero=True), life_time_factor, self.now())
         self._participant.pump.pump()
 
     @protected
@@ -337,17 +338,20 @@ class Node(Peer):
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
         """Reset the node and wait for its boot-up frame. Raises NodeSilentError after `timeout` seconds. communication_only: only
         the communication objects (reset communication); else all (reset node)."""
+        check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
             await self._first_of(boots, timeout, "did not boot after a reset")
 
     async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
         """Wait for the next boot-up frame. Raises NodeSilentError after `timeout` seconds."""
+        check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
             await self._first_of(boots, timeout, "did not boot")
 
     async def wait_for_heartbeat(self, timeout: float) -> NmtState:
         """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilentError after `timeout` seconds."""
+        check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(HeartbeatReceived) as heartbeats:
             return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
 
@@ -441,4 +445,4 @@ class Node(Peer):
 
 def _time_of(patience: float | None) -> Time | None:
     """Return seconds as a time-out in ns."""
-    return None if patience is None else max(MILLISECOND, round(patience * SECOND))
+    return None if patience is None else max(MILLISECOND, nanoseconds("patience", patience))

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmedError, RealtimeRefusedError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.plain_text import clean
+from canopen_master.seconds import check_seconds
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
@@ -65,13 +66,13 @@ def open_master(
     """Open a master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
 
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
-    names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
-    seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
-    supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice
-    that this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See
-    watchdog.py. realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for
-    `Realtime()`; by default nothing. `Master.realtime` and the log say what was given. It is for the thread that runs the
-    loop; at the end it is given back.
+    names may mean one bus. sdo_timeout: seconds (above 0) that a device may take for each answer; by default 0.5.
+    heartbeat_timeout: seconds after which a node whose heartbeat stops is lost (chains then have their joints send
+    heartbeats); by default 0, no supervision. dictionary: for nodes that are given none; by default that of the data files.
+    watchdog: how drives notice that this master is gone, and stop: once it enables a drive, it sends its heartbeat as node
+    127; None for none. See watchdog.py. realtime: what to ask the operating system for, so that SYNC is in time on a busy
+    computer; True for `Realtime()`; by default nothing. `Master.realtime` and the log say what was given. It is for the
+    thread that runs the loop; at the end it is given back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
@@ -80,6 +81,10 @@ def open_master(
     Entering the block raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. On leaving
     it, see this module's text.
     """
+    if sdo_timeout is not None:
+        check_seconds("sdo_timeout", sdo_timeout, above_zero=True)
+    if heartbeat_timeout is not None:
+        check_seconds("heartbeat_timeout", heartbeat_timeout)
     if isinstance(machine, str | Path):
         from canopen_master.machine_file import read_machine  # only here: most programs name their bus
 

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import math
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from canopen_master import open_master
+from canopen_master import ChainSettings, open_master
 from canopen_master.blocking import open_master as open_blocking
+from canopen_master.seconds import check_seconds, nanoseconds
 from canopen_proto.heartbeat import NodeBooted
-from canopen_proto.machine import Event, LocalProtocolError
-from tests.master.world import BUS, simulated, virtual_time
+from canopen_proto.machine import SECOND, Event, LocalProtocolError
+from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
+from tests.loops import loop
+from tests.master.world import BUS, arm_of, simulated, virtual_time
 
 WRONG_KINDS: list[Any] = ["PdoReceived", None, [NodeBooted], int, (NodeBooted,)]
 
@@ -72,3 +78,78 @@ def test_on_of_a_blocking_master_and_node_refuses_the_same() -> None:
             for callback in WRONG_CALLBACKS:
                 with pytest.raises(LocalProtocolError, match="callback"):
                     on(NodeBooted, callback)
+
+
+# ---- seconds ----
+
+NO_SECONDS: list[Any] = [-1, -0.001, math.nan, -math.inf, "2", b"2", None, True, [1.0]]
+
+
+@pytest.mark.parametrize("wrong", [*NO_SECONDS, 0])
+@virtual_time
+async def test_a_time_limit_that_is_none_is_refused_by_its_name_and_nothing_is_sent(wrong: Any) -> None:
+    async with simulated(3) as host, open_master(BUS) as master:
+        node = master.node(3)
+        arm = arm_of(master, 3)
+        before = host.nodes[0].state
+        sent: list[Any] = []
+        for kind in (NodeBooted, SdoUploaded, SdoDownloaded):
+            master.watch((kind,), sent.append)
+        awaited: list[Callable[[], Awaitable[object]]] = [
+            lambda: node.reset(wrong),
+            lambda: node.wait_for_boot(wrong),
+            lambda: node.wait_for_heartbeat(wrong),
+        ]
+        for wait in awaited:
+            with pytest.raises(LocalProtocolError, match="^timeout is .*; give seconds, above 0"):
+                await wait()
+        with pytest.raises(LocalProtocolError, match="^guard_time is .*; give a finite number of seconds, above 0"):
+            node.start_guarding(wrong)
+        with pytest.raises(LocalProtocolError, match="^period is .*; give a finite number of seconds, above 0"):
+            master.sync_start(wrong)
+        with pytest.raises(LocalProtocolError, match="^cycle_time is"):
+            ChainSettings(cycle_time=wrong)
+        if wrong != 0:
+            with pytest.raises(LocalProtocolError, match="^timeout is .*seconds, 0 or more"):
+                node.supervise_heartbeat(wrong)
+        if wrong not in (0, None):
+            with pytest.raises(LocalProtocolError, match="^patience is"):
+                await node.read_bytes(0x1000, 0, patience=wrong)
+            with pytest.raises(LocalProtocolError, match="^patience is"):
+                await node.write_bytes(0x1017, 0, bytes(2), patience=wrong)
+            with pytest.raises(LocalProtocolError, match="^renew_within is"):
+                async with arm.jog(renew_within=wrong):
+                    pass
+        if wrong is not None:
+            with pytest.raises(LocalProtocolError, match="^sdo_timeout is"):
+                open_master(BUS, sdo_timeout=wrong)
+        if wrong not in (0, None):
+            with pytest.raises(LocalProtocolError, match="^heartbeat_timeout is"):
+                open_master(BUS, heartbeat_timeout=wrong)
+        await loop.sleep(0.1)
+        assert not sent
+        assert host.nodes[0].state is before
+        assert not master.sync_period
+        await node.reset(math.inf)  # a wait may be without a limit
+
+
+@pytest.mark.parametrize("wrong", [each for each in NO_SECONDS if each is not None])
+def test_a_timeout_of_a_blocking_call_is_refused_by_its_name(wrong: Any) -> None:
+    with open_blocking("virtual:wrong") as master:
+        node = master.node(3)
+        arm = master.load_chains(text="arm joint1 virtual:wrong 3")["arm"]
+        calls: list[Callable[[], object]] = [
+            lambda: node.read("statusword", timeout=wrong),
+            lambda: node.events(NodeBooted).receive(timeout=wrong),
+            lambda: arm.move([1.0], timeout=wrong),
+            lambda: master.in_loop(print, timeout=wrong),
+        ]
+        for call in calls:
+            with pytest.raises(LocalProtocolError, match="^timeout is .*; give seconds, 0 or more"):
+                call()
+
+
+@given(st.floats(0.0, 1e9) | st.integers(0, 10**9) | st.fractions(0, 10**9))
+def test_whatever_is_a_number_of_seconds_is_taken(seconds: float) -> None:
+    assert check_seconds("x", seconds) == float(seconds)
+    assert nanoseconds("x", seconds) == round(float(seconds) * SECOND)

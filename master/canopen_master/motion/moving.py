@@ -34,6 +34,7 @@ from canopen_master.motion.member import Member
 from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin
 from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
+from canopen_master.seconds import check_seconds
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
 from canopen_proto.drives.trajectory.margin import Margin
 from canopen_proto.drives.trajectory.path_clock import check_override
@@ -162,6 +163,8 @@ class Moving:
         from canopen_master.trajectories.point_to_point import MARGIN
         from canopen_master.trajectories.target_stream import TargetStream
 
+        if renew_within is not None:
+            check_seconds("renew_within", renew_within)
         await self._begin_following(what)
         self._require_movable(what)
         renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))

@@ -24,6 +24,7 @@ from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackEr
 from canopen_master.participant.pump import Pump
 from canopen_master.participant.requests import OpenRequest
 from canopen_master.participant.subscription import Subscription
+from canopen_master.seconds import nanoseconds
 from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
@@ -184,7 +185,7 @@ class Participant:
         import canopen_proto.observer.observer  # noqa: F401 - an error would import it, for 40 ms, between two SYNCs
 
         self.check_open()
-        now, period_ns = self.now(), nanoseconds(period)
+        now, period_ns = self.now(), nanoseconds("period", period, above_zero=True)
         self._before_ordered_sync(now)
         for bus in self._own_buses:
             bus.start_sync(period_ns, now)
@@ -472,8 +473,3 @@ class ProcedureSlot:
             case outcome:
                 assert isinstance(outcome, ProcedureCancelled)
                 raise ProcedureTakenBackError
-
-
-def nanoseconds(seconds: float) -> Time:
-    """Seconds, as users give them, in ns, as machines take them."""
-    return round(seconds * SECOND)
