@@ -153,3 +153,17 @@ def test_a_timeout_of_a_blocking_call_is_refused_by_its_name(wrong: Any) -> None
 def test_whatever_is_a_number_of_seconds_is_taken(seconds: float) -> None:
     assert check_seconds("x", seconds) == float(seconds)
     assert nanoseconds("x", seconds) == round(float(seconds) * SECOND)
+
+
+# ---- what a blocking node is not ----
+
+
+def test_a_blocking_node_is_no_container_and_says_where_its_objects_are() -> None:
+    with open_blocking("virtual:wrong") as master:
+        node = master.node(3)
+        with pytest.raises(TypeError, match="'statusword' in node.dictionary"):
+            "statusword" in node  # noqa: B015
+        with pytest.raises(TypeError, match="for each in node.dictionary"):
+            list(node)
+        assert "statusword" in node.dictionary
+        assert next(iter(node.dictionary)).index >= 0x1000

@@ -215,6 +215,14 @@ class NodeTwin(Twin[Node]):
         """Write a value, or a constant by its name: `node["producer_heartbeat_time"] = 500`. Raises as `write`."""
         self._hub.run(None, self._inner.write, key, value)
 
+    # Without these two, Python would ask for node[0], node[1] ...: reads on the bus
+
+    def __contains__(self, key: object) -> NoReturn:
+        raise TypeError(f"`in` does not look into a node; is it in its dictionary: {key!r} in node.dictionary")
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError("a node cannot be iterated over; its objects are those of its dictionary: for each in node.dictionary")
+
     def on(self, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
         """Call a function with each event of this node; see the `on` of the master."""
         return on(self._hub, self._inner, kind, callback)
