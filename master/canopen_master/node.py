@@ -45,6 +45,8 @@ MAX_SHOWN = 16
 BOOT_TIME = 5.0
 """Seconds that a device may take from a reset to its boot-up frame."""
 
+_NOT_BOOTED = "it needs longer to start, or did not get the reset"
+
 
 class Node(Peer):
     """A device as its master sees it. remote: the core's view of it, with all known values (`remote.values`). axes: its drives
@@ -341,19 +343,20 @@ class Node(Peer):
         check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
-            await self._first_of(boots, timeout, "did not boot after a reset")
+            await self._first_of(boots, timeout, "did not boot after a reset", _NOT_BOOTED, is_asked=True)
 
     async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
         """Wait for the next boot-up frame. Raises NodeSilentError after `timeout` seconds."""
         check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
-            await self._first_of(boots, timeout, "did not boot")
+            await self._first_of(boots, timeout, "did not boot", "it has no reason to: a boot-up wants a reset")
 
     async def wait_for_heartbeat(self, timeout: float) -> NmtState:
         """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilentError after `timeout` seconds."""
         check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(HeartbeatReceived) as heartbeats:
-            return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
+            cause = "it has no reason to: a heartbeat wants a time in 0x1017"
+            return (await self._first_of(heartbeats, timeout, "sent no heartbeat", cause)).state
 
     def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
         """Index and subindex of a key. An object that the dictionary lacks must be given by numbers."""
@@ -434,12 +437,12 @@ class Node(Peer):
             assert isinstance(outcome, SdoAborted)
             raise self.error_of(outcome, attempt)
 
-    async def _first_of(self, events: Subscription[E], timeout: float, missed: str) -> E:
+    async def _first_of(self, events: Subscription[E], timeout: float, missed: str, cause: str, *, is_asked: bool = False) -> E:
         with current_loop().move_on_after(timeout):
             return await events.receive()
         failed = f"node {self.node_id} {missed} within {timeout:g} s"
-        cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
-        known = missing_frame(self.network, self.remote, self.now(), cause, (), pdo=False)
+        tries = ("a longer timeout",) if is_asked else ()
+        known = missing_frame(self.network, self.remote, self.now(), cause, tries, pdo=False, is_asked=is_asked)
         raise NodeSilentError(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
 
 
