@@ -114,7 +114,10 @@ class Master(Participant):
         known = self._nodes.get((where, node_id))
         if known is not None:
             if dictionary is not None and dictionary is not known.dictionary:
-                raise LocalProtocolError(f"node {node_id} on {where.name} is in use with another dictionary")
+                has, wanted = (each.source or "a dictionary of the program" for each in (known.dictionary, dictionary))
+                failed = f"node {node_id} on {where.name} is in use with another dictionary: {has}"
+                yours = "yours" if has == wanted else wanted
+                raise LocalProtocolError(f"{failed}; give {yours} at the first call of `node`, and none at later ones")
             return known
         remote = RemoteNode(
             where.network.out,

@@ -167,3 +167,19 @@ def test_a_blocking_node_is_no_container_and_says_where_its_objects_are() -> Non
             list(node)
         assert "statusword" in node.dictionary
         assert next(iter(node.dictionary)).index >= 0x1000
+
+
+# ---- a node's dictionary, and what a drive is ----
+
+
+@virtual_time
+async def test_a_node_in_use_with_another_dictionary_says_with_which_and_what_to_do() -> None:
+    async with open_master(BUS) as master:
+        node = master.node(6)
+        with pytest.raises(LocalProtocolError) as refused:
+            master.node(6, "sample_io.eds")
+        assert str(refused.value) == (
+            f"node 6 on {BUS} is in use with another dictionary: installed indices.csv; "
+            "give sample_io.eds at the first call of `node`, and none at later ones"
+        )
+        assert master.node(6) is node
