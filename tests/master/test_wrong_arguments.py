@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_data import DataError, read_chain_file
+from canopen_data.descriptions import load_description
 from canopen_master import ChainSettings, open_master
 from canopen_master.blocking import open_master as open_blocking
 from canopen_master.seconds import check_seconds, nanoseconds
@@ -82,6 +84,8 @@ def test_on_of_a_blocking_master_and_node_refuses_the_same() -> None:
 
 # ---- seconds ----
 
+NO_NODES: list[Any] = [5, None, "node"]
+NO_DICTIONARIES: list[Any] = [5, b"sample_io.eds", ["sample_io.eds"]]
 NO_SECONDS: list[Any] = [-1, -0.001, math.nan, -math.inf, "2", b"2", None, True, [1.0]]
 
 
@@ -183,3 +187,38 @@ async def test_a_node_in_use_with_another_dictionary_says_with_which_and_what_to
             "give sample_io.eds at the first call of `node`, and none at later ones"
         )
         assert master.node(6) is node
+
+
+@virtual_time
+async def test_a_node_that_is_no_drive_is_refused_as_one_in_words() -> None:
+    async with open_master(BUS) as master:
+        node = master.node(6, "sample_io.eds", pdos=False)
+        with pytest.raises(LocalProtocolError, match="^node 6 is no drive by sample_io.eds: that has no 0x6040:00; a drive"):
+            master.device(node)
+        with pytest.raises(LocalProtocolError, match="has no axis 1"):
+            master.device(node, axis=1)
+        for wrong in NO_NODES:
+            with pytest.raises(LocalProtocolError, match="is no node of this master; give one, as master.node"):
+                master.device(wrong)
+        for no_dictionary in NO_DICTIONARIES:
+            with pytest.raises(LocalProtocolError, match="give the path of a file, or an ObjectDictionary"):
+                master.node(7, no_dictionary)
+        assert not master.devices
+        assert len(master._nodes) == 1
+
+
+@virtual_time
+async def test_a_file_that_nobody_named_is_asked_for() -> None:
+    async with open_master(BUS) as master:
+        with pytest.raises(LocalProtocolError, match="load_chains: chains of which file"):
+            master.load_chains()
+        for load in (load_description, lambda path: master.node(6, path), read_chain_file):
+            with pytest.raises(DataError, match="CO330: '' is no path of a file"):
+                load("")
+
+
+@pytest.mark.parametrize("wrong", [None, 5, ["x"]])
+def test_what_is_no_path_is_no_type_error(wrong: Any) -> None:
+    for load in (load_description, read_chain_file):
+        with pytest.raises(DataError, match="CO330: .* is no path of a file"):
+            load(wrong)

@@ -1095,7 +1095,8 @@ class BlockingMaster(MasterTwin):
         name: for people, by default "node 12". axis: 0..7, of a node with several drives: the objects of axis k are those of the
         first one plus k * 0x800; its dictionary must have them. settings: units and habits of the drive; by default those of CiA
         402, or those of Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError if the drive is in
-        use with other settings (it names the differences), and for an axis that the dictionary does not have.
+        use with other settings (it names the differences), for a node that is no drive by its dictionary, and for an axis that
+        the dictionary does not have.
         """
         found = self._hub.do(self._inner.device, node._inner, name, settings, axis=axis)
         return self._hub.twin(BlockingDevice, found)
