@@ -111,7 +111,7 @@ class Node(Peer):
     async def read(self, key: Key, *, block: Block = False) -> Value: ...
     async def read(self, key: Any, *, block: Block = False) -> Any:
         """Read the value of an object. Raises UnexpectedAnswerError if its length is not that of the object's type."""
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
             return self.remote.value_of(uploaded, variable)
@@ -123,7 +123,7 @@ class Node(Peer):
 
         Bits 12 and 13 of the statusword depend on the mode of operation. If one is set, 0x6061 is read too.
         """
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
             message = self.remote.message_of(uploaded)
@@ -147,7 +147,7 @@ class Node(Peer):
         repeated by itself. Before a controlword that enables operation, the master takes hold of the drive (watchdog.py). Raises
         NodeIdTakenError or NotHeldError, with nothing sent, if it cannot.
         """
-        variable, meant, _ = self.remote.encode(key, value)
+        variable, meant, _ = self.remote.encode(self._variable(key), value)
         attempt = f"writing {meant!r} to"
 
         def submit(now: Time) -> RequestId:
@@ -161,7 +161,7 @@ class Node(Peer):
 
     async def matches(self, key: Key, constant: str) -> bool:
         """Read an object, and return whether it bears a constant: `(value & mask) == constant`."""
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         wanted = self.dictionary.constant(variable, constant)  # an unknown name raises before anything is sent
         value = await self.read(variable)
         return isinstance(value, int) and wanted.is_in(value)
@@ -187,8 +187,16 @@ class Node(Peer):
         assert isinstance(value, str)
         return value
 
+    def _variable(self, key: Key) -> Variable:
+        """Return the object that a key names. Raises ObjectNotFoundError, and LocalProtocolError for what can be no key."""
+        try:
+            return self.dictionary.variable(key)
+        except TypeError as error:
+            failed = f"key {key!r} names no object"
+            raise LocalProtocolError(f"{failed}; give a name, an index, or (index, subindex)") from error
+
     def _of_type(self, key: Key, wanted: str, suits: Callable[[DataType], bool]) -> Variable:
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         if not suits(variable.data_type):
             raise LocalProtocolError(f"{variable.label} is {variable.data_type.name}, not {wanted}; `read` takes every type")
         return variable
@@ -208,6 +216,9 @@ class Node(Peer):
 
         patience: as of `read_bytes`; it counts neither for a controlword nor for the COB-ID of a PDO.
         """
+        _check_place(index, subindex)
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise LocalProtocolError(f"data {data!r} is no bytes; give bytes, little-endian; `write` takes values")
         is_controlword = mux(index, subindex) in self._controlwords and len(data) == 2
         is_cob_id = subindex == COB_ID and len(data) == 4 and FIRST_PDO_RECORD <= index <= LAST_PDO_RECORD
         known = self.dictionary.get(index, subindex)
@@ -238,6 +249,7 @@ class Node(Peer):
         transfer on the bus, and is raised unchanged. size: bytes, if known; some devices insist on it. Raises LocalProtocolError
         if the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
         """
+        _check_place(index, subindex)
         async with self._commanding(mux(index, subindex), Command.ENABLE_OPERATION):
             await write_stream(self, index, subindex, pieces, size, block)
 
@@ -287,7 +299,7 @@ class Node(Peer):
 
         For controlwords, see `enable_rpdo`.
         """
-        variable, meant, _ = self.remote.encode(key, value)
+        variable, meant, _ = self.remote.encode(self._variable(key), value)
         axis = self._controlwords.get(variable.mux)
         if axis is not None and enables_operation(meant):
             self._may_enable(axis)
@@ -361,12 +373,12 @@ class Node(Peer):
     def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
         """Index and subindex of a key. An object that the dictionary lacks must be given by numbers."""
         if isinstance(key, int):
-            return place_of(key) if subindex is None else (key, subindex)
+            return place_of(key) if subindex is None else _check_place(key, subindex)
         if subindex is not None:
             raise LocalProtocolError(f"{key!r} is a whole object: a subindex goes with an index alone")
-        if isinstance(key, tuple):
-            return key
-        variable = self.dictionary.variable(key)
+        if isinstance(key, tuple) and len(key) == 2:
+            return _check_place(*key)
+        variable = self._variable(key)
         return variable.index, variable.subindex
 
     async def _active_mode(self, axis: int) -> int | None:
@@ -449,3 +461,10 @@ class Node(Peer):
 def _time_of(patience: float | None) -> Time | None:
     """Return seconds as a time-out in ns."""
     return None if patience is None else max(MILLISECOND, nanoseconds("patience", patience))
+
+
+def _check_place(index: object, subindex: object) -> tuple[int, int]:
+    """Return the place of an object. Raises LocalProtocolError for what is no index or subindex."""
+    if isinstance(index, int) and isinstance(subindex, int) and 0 <= index <= 0xFFFF and 0 <= subindex <= 0xFF:
+        return index, subindex
+    raise LocalProtocolError(f"object {index!r}:{subindex!r}: give an index of 0..0xFFFF and a subindex of 0..0xFF")

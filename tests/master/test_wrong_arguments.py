@@ -222,3 +222,94 @@ def test_what_is_no_path_is_no_type_error(wrong: Any) -> None:
     for load in (load_description, read_chain_file):
         with pytest.raises(DataError, match="CO330: .* is no path of a file"):
             load(wrong)
+
+
+# ---- kinds of arguments that Python alone would meet deep inside ----
+
+
+@virtual_time
+async def test_whatever_is_given_as_a_key_or_as_bytes_the_call_names_it_and_sends_nothing() -> None:
+    async with simulated(3), open_master(BUS) as master:
+        node = master.node(3)
+        sent: list[Event] = []
+        master.watch((SdoUploaded, SdoDownloaded), sent.append)
+        keys: list[Any] = [None, 5.5, b"x", (0x1018,), (1, 2, 3), (None, 1), ("a", 1), (0x1018, "1")]
+        for key in keys:
+            calls: list[Callable[[], Awaitable[object]]] = [
+                lambda key=key: node.read(key),  # type: ignore[misc]
+                lambda key=key: node.read_message(key),  # type: ignore[misc]
+                lambda key=key: node.read_int(key),  # type: ignore[misc]
+                lambda key=key: node.read_bytes(key),  # type: ignore[misc]
+                lambda key=key: node.write(key, 5),  # type: ignore[misc]
+                lambda key=key: node.matches(key, "x"),  # type: ignore[misc]
+            ]
+            for call in calls:
+                with pytest.raises(LocalProtocolError, match="(names no object; give a name, an index)|(give an index of)"):
+                    await call()
+        places: list[tuple[Any, Any]] = [("1017", 0), (None, 0), (0x1017, None), (1.5, 0), (-1, 0), (0x1017, 256), (0x10000, 0)]
+        for index, subindex in places:
+            with pytest.raises(LocalProtocolError, match="give an index of 0..0xFFFF and a subindex of 0..0xFF"):
+                await node.write_bytes(index, subindex, b"ab")
+            with pytest.raises(LocalProtocolError, match="give an index of 0..0xFFFF"):
+                await node.write_stream(index, subindex, [b"ab"])
+        texts: list[Any] = ["ab", None, 5, [1, 2]]
+        for data in texts:
+            with pytest.raises(LocalProtocolError, match="data .* is no bytes; give bytes"):
+                await node.write_bytes(0x1017, 0, data)
+        assert not sent
+        await node.write_bytes(0x1017, 0, bytes(2))
+        assert sent
+
+
+@virtual_time
+async def test_what_is_no_procedure_is_refused_and_a_coroutine_is_not_run_as_one() -> None:
+    async with simulated(3), open_master(BUS) as master:
+        asked = master.node(3).read("statusword")
+        nothing: list[Any] = [None, print, asked, 5]
+        for wrong in nothing:
+            with pytest.raises(LocalProtocolError, match="procedure .* is none; give one of canopen_proto.procedures"):
+                await master.run(wrong)
+        await asked
+
+
+@virtual_time
+async def test_what_is_no_path_and_no_function_of_torques_never_moves_a_joint() -> None:
+    async with simulated(3), open_master(BUS) as master:
+        arm = arm_of(master, 3)
+        await arm.initialise()
+        await arm.home()
+        stood = arm.positions
+        paths: list[Any] = [5, "x", [1]]
+        for path in paths:
+            with pytest.raises(LocalProtocolError, match="path .* is none; give a path, as `cubic`"):
+                await arm.follow(path)
+            with pytest.raises(LocalProtocolError, match="torques .* is none; give a function"):
+                await arm.follow(torques=path)
+            with pytest.raises(LocalProtocolError, match="torques .* is none; give a function"):
+                await arm.move([1.0], torques=path)
+        made: Any = lambda start: None  # noqa: E731
+        with pytest.raises(LocalProtocolError, match="the function that was given as a path returned None"):
+            await arm.follow(made)
+        assert arm.positions == stood
+        await arm.move([1.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "words"),
+    [
+        ((None,), {}, "the locator of bus0 is None; give one as"),
+        ((5,), {}, "the locator of bus0 is 5"),
+        ((b"virtual:a",), {}, "the locator of bus0 is b'virtual:a'"),
+        (((["virtual:a"]),), {}, "the locator of bus0 is"),
+        ((), {"buses": {"left": 5}}, "the locator of left is 5"),
+        ((), {"buses": 5}, "buses is 5; give locators by name"),
+        ((), {"machine": 5}, "machine is 5; give the path of a machine file"),
+        (("virtual:a",), {"dictionary": "sample_io.eds"}, "dictionary is 'sample_io.eds'; give ObjectDictionary"),
+        (("virtual:a",), {"watchdog": 5}, "watchdog is 5; give Watchdog"),
+        (("virtual:a",), {"realtime": 5}, "realtime is 5; give Realtime"),
+    ],
+)
+def test_open_master_refuses_what_it_cannot_open_at_the_call(arguments: Any, options: Any, words: str) -> None:
+    for opens in (open_master, open_blocking):
+        with pytest.raises(LocalProtocolError, match=words):
+            opens(*arguments, **options)

@@ -1409,7 +1409,8 @@ def open_master(
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the file
-    says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file.
+    says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file;
+    LocalProtocolError, with nothing opened, for an argument of another kind.
 
     Raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. How it ends: docs/blocking.md.
     """

@@ -94,11 +94,13 @@ class Moving:
         Raises ChainError if the chain moves already, if a drive does not stand, lacks the mode, or has lost its reference (see
         `recover`); ChainHaltedError, ChainFaultError if it is stopped on its way.
         """
+        _check_function("torques", torques, "a function that returns the torques at a point")
         if path is None:
             for member in self._members:
                 await member.follow_set_points("follow set-points")
             return
         if not isinstance(path, Path):
+            _check_function("path", path, "a path, as `cubic` of canopen_proto.drives, or a function that returns one")
             await self._take_over("follow a path", path, torques, is_checked=False)
             return
         await self._begin_following("follow a path")
@@ -120,6 +122,8 @@ class Moving:
         limit.
         """
         from canopen_master.trajectories.point_to_point import point_to_point
+
+        _check_function("torques", torques, "a function that returns the torques at a point")
 
         def planned(start: PathPoint) -> Path:
             with self._names_joints():
@@ -320,6 +324,8 @@ class Moving:
             limits, margin = self.path_limits, None
             start, present = self._present(), self.present_motion
             path = make(start)
+            if not isinstance(path, Path):
+                raise LocalProtocolError(f"the function that was given as a path returned {path!r}, which is no Path")
             is_moving = any(start.velocities) or any(start.accelerations)
             if not is_checked and is_moving:
                 check_now(self._devices, path, start, limits, self._period)
@@ -460,3 +466,8 @@ def together(*chains: Moving) -> Together:
     Raises LocalProtocolError for chains that have another cycle_time or a joint in common.
     """
     return Together(tuple(member for chain in chains for member in chain.members))
+
+
+def _check_function(name: str, given: object, wanted: str) -> None:
+    if given is not None and not callable(given):
+        raise LocalProtocolError(f"{name} {given!r} is none; give {wanted}")

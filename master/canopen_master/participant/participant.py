@@ -15,7 +15,7 @@ this process was stalled, those who follow it may look at their drives (`SyncGua
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, Final, Protocol, TypeVar
 
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError
@@ -291,6 +291,9 @@ class Participant:
 
     def start(self, procedure: Procedure[Any]) -> tuple[RequestId, Waiter]:
         """Start a procedure, and send nothing of it yet: `pump` has to follow. `ProcedureSlot` does both."""
+        if not isinstance(procedure, Generator):
+            what_to_do = "give one of canopen_proto.procedures, as read(node.remote, 0x1000); a coroutine is awaited"
+            raise LocalProtocolError(f"procedure {procedure!r} is none; {what_to_do}")
         request_id = self.runner.start(procedure, self.now())
         self._procedures.add(request_id)
         return request_id, self._dispatcher.expect(self._root, request_id, self.runner)
