@@ -14,7 +14,7 @@ from canopen_master.participant.participant import Participant
 from canopen_master.participant.peer import Peer
 from canopen_master.participant.subscription import Subscription
 from canopen_master.seconds import check_seconds, nanoseconds
-from canopen_master.silence import missing_frame
+from canopen_master.silence import NOT_BOOTED, missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.watchdog import Watchdogs
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
@@ -44,8 +44,6 @@ MAX_SHOWN = 16
 """Bytes of what was to be written that an error shows."""
 BOOT_TIME = 5.0
 """Seconds that a device may take from a reset to its boot-up frame."""
-
-_NOT_BOOTED = "it needs longer to start, or did not get the reset"
 
 
 class Node(Peer):
@@ -355,7 +353,7 @@ class Node(Peer):
         check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
-            await self._first_of(boots, timeout, "did not boot after a reset", _NOT_BOOTED, is_asked=True)
+            await self._first_of(boots, timeout, "did not boot after a reset", NOT_BOOTED, is_asked=True)
 
     async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
         """Wait for the next boot-up frame. Raises NodeSilentError after `timeout` seconds."""

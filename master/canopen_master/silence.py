@@ -32,6 +32,7 @@ TIMEOUTS: Final = (0.1, 0.2, 0.5, 1, 2, 3, 5, 10, 20)
 
 SCAN: Final = "canopen scan    (who is there?)"
 DOCTOR: Final = "canopen doctor    (what does the adapter say?)"
+NOT_BOOTED: Final = "it needs longer to start, or did not get the reset"
 LONGER: Final = "a longer sdo_timeout"
 
 
