@@ -8,6 +8,7 @@ from fuzz.mutant import Mutant
 
 EVENTS: Final = ("tests/master/test_events.py",)
 BUSES: Final = ("tests/master/test_several_buses.py",)
+ARGUMENTS: Final = ("tests/master/test_wrong_arguments.py",)
 DISPATCH: Final = ("tests/master/test_dispatch.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
@@ -153,6 +154,33 @@ MASTER_MUTANTS: Final = tuple(
             "",
             "a callback hears what the namesake of a node on another bus has sent",
             DISPATCH,
+        ),
+        (
+            "any_kind_of_event",
+            "canopen_master/participant/dispatch.py",
+            "if not isinstance(kind, type) or not issubclass(kind, Event):",
+            "if False:",
+            "a wrong kind is taken, and ends the master, and its motions, at the next event",
+            ARGUMENTS,
+        ),
+        (
+            "any_callback",
+            "canopen_master/participant/participant.py",
+            "        check_callback(callback)\n",
+            "",
+            "a callback that cannot be called ends the master, and its motions, at the next event",
+            ARGUMENTS,
+        ),
+        (
+            "reset_without_a_time_limit",
+            "canopen_master/node.py",
+            """        check_seconds("timeout", timeout, above_zero=True, finite=False)
+        with self.events(NodeBooted) as boots:
+            await self.nmt""",
+            """        with self.events(NodeBooted) as boots:
+            await self.nmt""",
+            "a reset is sent by a call whose time limit is wrong",
+            ARGUMENTS,
         ),
         (
             "subscription_of_all_buses",

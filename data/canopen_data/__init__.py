@@ -214,7 +214,9 @@ def _home_directory() -> Path | None:
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path with ~ replaced. Raises DataError if there is no home folder."""
+    """Return a path with ~ replaced. Raises DataError if there is no home folder, and for what names no file."""
+    if not isinstance(path, str | os.PathLike) or not str(path):
+        raise DataError(f"{path!r} is no path of a file", "name the file")
     try:
         return Path(path).expanduser()
     except RuntimeError:

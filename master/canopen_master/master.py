@@ -15,8 +15,9 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
 from canopen_master.node import Node
 from canopen_master.participant.bus import Bus
-from canopen_master.participant.participant import Participant, nanoseconds
+from canopen_master.participant.participant import Participant
 from canopen_master.participant.subscription import Subscription
+from canopen_master.seconds import nanoseconds
 from canopen_master.watchdog import NodeWatchdog, Watchdogs
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import Axis, AxisSettings
@@ -63,8 +64,8 @@ class Master(Participant):
     ) -> None:
         """transports: open ones, by name. aliases: more names for them. For the rest, see `open_master`."""
         super().__init__(transports, aliases)
-        self._sdo_timeout = nanoseconds(sdo_timeout)
-        self._heartbeat_timeout = nanoseconds(heartbeat_timeout)
+        self._sdo_timeout = nanoseconds("sdo_timeout", sdo_timeout, above_zero=True)
+        self._heartbeat_timeout = nanoseconds("heartbeat_timeout", heartbeat_timeout)
         self._dictionary = dictionary
         self._nodes: dict[tuple[Bus, int], Node] = {}
         self._files: dict[str, ObjectDictionary] = {}
@@ -110,10 +111,15 @@ class Master(Participant):
 
                 self._files[str(dictionary)] = load_description_with_names(dictionary).dictionary
             dictionary = self._files[str(dictionary)]
+        if dictionary is not None and not isinstance(dictionary, ObjectDictionary):
+            raise LocalProtocolError(f"dictionary {dictionary!r} is none; give the path of a file, or an ObjectDictionary")
         known = self._nodes.get((where, node_id))
         if known is not None:
             if dictionary is not None and dictionary is not known.dictionary:
-                raise LocalProtocolError(f"node {node_id} on {where.name} is in use with another dictionary")
+                has, wanted = (each.source or "a dictionary of the program" for each in (known.dictionary, dictionary))
+                failed = f"node {node_id} on {where.name} is in use with another dictionary: {has}"
+                yours = "yours" if has == wanted else wanted
+                raise LocalProtocolError(f"{failed}; give {yours} at the first call of `node`, and none at later ones")
             return known
         remote = RemoteNode(
             where.network.out,
@@ -136,9 +142,11 @@ class Master(Participant):
         name: for people, by default "node 12". axis: 0..7, of a node with several drives: the objects of axis k are those
         of the first one plus k * 0x800; its dictionary must have them. settings: units and habits of the drive; by
         default those of CiA 402, or those of Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises
-        LocalProtocolError if the drive is in use with other settings (it names the differences), and for an axis
-        that the dictionary does not have.
+        LocalProtocolError if the drive is in use with other settings (it names the differences), for a node that is no drive by
+        its dictionary, and for an axis that the dictionary does not have.
         """
+        if not isinstance(node, Node):
+            raise LocalProtocolError(f"node {node!r} is no node of this master; give one, as master.node(3)")
         device = self.devices.get((node, axis))
         if device is None:
             drive = Axis(node.remote, AxisSettings() if settings is None else settings, axis)
@@ -195,6 +203,8 @@ class Master(Participant):
         """
         from canopen_master.motion.chain_file import on_buses, parse_chains, read_chains
 
+        if text is None and not path:
+            raise LocalProtocolError("load_chains: chains of which file? Give its path, or the chains as `text`")
         chains = read_chains(path) if text is None else parse_chains(text)
         placed = on_buses(chains, {name: bus.name for name, bus in self.buses.items()})
         return {each.name: self.chain(each, settings, axes=axes, dictionary=dictionary) for each in placed}

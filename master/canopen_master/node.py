@@ -13,7 +13,8 @@ from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant
 from canopen_master.participant.peer import Peer
 from canopen_master.participant.subscription import Subscription
-from canopen_master.silence import missing_frame
+from canopen_master.seconds import check_seconds, nanoseconds
+from canopen_master.silence import NOT_BOOTED, missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.watchdog import Watchdogs
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
@@ -27,7 +28,7 @@ from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_
 from canopen_proto.drives.cia402.states import Command, enables_operation
 from canopen_proto.explained import counted
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoDifference
@@ -98,7 +99,7 @@ class Node(Peer):
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for `timeout` seconds, from the first one on; 0 ends this."""
-        self.remote.heartbeat.set_timeout(round(timeout * SECOND), self.now())
+        self.remote.heartbeat.set_timeout(nanoseconds("timeout", timeout), self.now())
         self._participant.pump.pump()
 
     # ---- objects ----
@@ -109,7 +110,7 @@ class Node(Peer):
     async def read(self, key: Key, *, block: Block = False) -> Value: ...
     async def read(self, key: Any, *, block: Block = False) -> Any:
         """Read the value of an object. Raises UnexpectedAnswerError if its length is not that of the object's type."""
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
             return self.remote.value_of(uploaded, variable)
@@ -121,7 +122,7 @@ class Node(Peer):
 
         Bits 12 and 13 of the statusword depend on the mode of operation. If one is set, 0x6061 is read too.
         """
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
             message = self.remote.message_of(uploaded)
@@ -145,7 +146,7 @@ class Node(Peer):
         repeated by itself. Before a controlword that enables operation, the master takes hold of the drive (watchdog.py). Raises
         NodeIdTakenError or NotHeldError, with nothing sent, if it cannot.
         """
-        variable, meant, _ = self.remote.encode(key, value)
+        variable, meant, _ = self.remote.encode(self._variable(key), value)
         attempt = f"writing {meant!r} to"
 
         def submit(now: Time) -> RequestId:
@@ -159,7 +160,7 @@ class Node(Peer):
 
     async def matches(self, key: Key, constant: str) -> bool:
         """Read an object, and return whether it bears a constant: `(value & mask) == constant`."""
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         wanted = self.dictionary.constant(variable, constant)  # an unknown name raises before anything is sent
         value = await self.read(variable)
         return isinstance(value, int) and wanted.is_in(value)
@@ -185,8 +186,16 @@ class Node(Peer):
         assert isinstance(value, str)
         return value
 
+    def _variable(self, key: Key) -> Variable:
+        """Return the object that a key names. Raises ObjectNotFoundError, and LocalProtocolError for what can be no key."""
+        try:
+            return self.dictionary.variable(key)
+        except TypeError as error:
+            failed = f"key {key!r} names no object"
+            raise LocalProtocolError(f"{failed}; give a name, an index, or (index, subindex)") from error
+
     def _of_type(self, key: Key, wanted: str, suits: Callable[[DataType], bool]) -> Variable:
-        variable = self.dictionary.variable(key)
+        variable = self._variable(key)
         if not suits(variable.data_type):
             raise LocalProtocolError(f"{variable.label} is {variable.data_type.name}, not {wanted}; `read` takes every type")
         return variable
@@ -206,6 +215,9 @@ class Node(Peer):
 
         patience: as of `read_bytes`; it counts neither for a controlword nor for the COB-ID of a PDO.
         """
+        _check_place(index, subindex)
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise LocalProtocolError(f"data {data!r} is no bytes; give bytes, little-endian; `write` takes values")
         is_controlword = mux(index, subindex) in self._controlwords and len(data) == 2
         is_cob_id = subindex == COB_ID and len(data) == 4 and FIRST_PDO_RECORD <= index <= LAST_PDO_RECORD
         known = self.dictionary.get(index, subindex)
@@ -236,6 +248,7 @@ class Node(Peer):
         transfer on the bus, and is raised unchanged. size: bytes, if known; some devices insist on it. Raises LocalProtocolError
         if the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
         """
+        _check_place(index, subindex)
         async with self._commanding(mux(index, subindex), Command.ENABLE_OPERATION):
             await write_stream(self, index, subindex, pieces, size, block)
 
@@ -285,7 +298,7 @@ class Node(Peer):
 
         For controlwords, see `enable_rpdo`.
         """
-        variable, meant, _ = self.remote.encode(key, value)
+        variable, meant, _ = self.remote.encode(self._variable(key), value)
         axis = self._controlwords.get(variable.mux)
         if axis is not None and enables_operation(meant):
             self._may_enable(axis)
@@ -322,7 +335,7 @@ class Node(Peer):
 
         Events: HeartbeatReceived; NodeGuardingLost after guard_time * life_time_factor without an answer.
         """
-        self.remote.start_guarding(round(guard_time * SECOND), life_time_factor, self.now())
+        self.remote.start_guarding(nanoseconds("guard_time", guard_time, above_zero=True), life_time_factor, self.now())
         self._guarding_left = None
         self._participant.pump.pump()
 
@@ -353,29 +366,33 @@ class Node(Peer):
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
         """Reset the node and wait for its boot-up frame. Raises NodeSilentError after `timeout` seconds. communication_only: only
         the communication objects (reset communication); else all (reset node)."""
+        check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
-            await self._first_of(boots, timeout, "did not boot after a reset")
+            await self._first_of(boots, timeout, "did not boot after a reset", NOT_BOOTED, is_asked=True)
 
     async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
         """Wait for the next boot-up frame. Raises NodeSilentError after `timeout` seconds."""
+        check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(NodeBooted) as boots:
-            await self._first_of(boots, timeout, "did not boot")
+            await self._first_of(boots, timeout, "did not boot", "it has no reason to: a boot-up wants a reset")
 
     async def wait_for_heartbeat(self, timeout: float) -> NmtState:
         """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilentError after `timeout` seconds."""
+        check_seconds("timeout", timeout, above_zero=True, finite=False)
         with self.events(HeartbeatReceived) as heartbeats:
-            return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
+            cause = "it has no reason to: a heartbeat wants a time in 0x1017"
+            return (await self._first_of(heartbeats, timeout, "sent no heartbeat", cause)).state
 
     def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
         """Index and subindex of a key. An object that the dictionary lacks must be given by numbers."""
         if isinstance(key, int):
-            return place_of(key) if subindex is None else (key, subindex)
+            return place_of(key) if subindex is None else _check_place(key, subindex)
         if subindex is not None:
             raise LocalProtocolError(f"{key!r} is a whole object: a subindex goes with an index alone")
-        if isinstance(key, tuple):
-            return key
-        variable = self.dictionary.variable(key)
+        if isinstance(key, tuple) and len(key) == 2:
+            return _check_place(*key)
+        variable = self._variable(key)
         return variable.index, variable.subindex
 
     async def _active_mode(self, axis: int) -> int | None:
@@ -446,15 +463,22 @@ class Node(Peer):
             assert isinstance(outcome, SdoAborted)
             raise self.error_of(outcome, attempt)
 
-    async def _first_of(self, events: Subscription[E], timeout: float, missed: str) -> E:
+    async def _first_of(self, events: Subscription[E], timeout: float, missed: str, cause: str, *, is_asked: bool = False) -> E:
         with current_loop().move_on_after(timeout):
             return await events.receive()
         failed = f"node {self.node_id} {missed} within {timeout:g} s"
-        cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
-        known = missing_frame(self.network, self.remote, self.now(), cause, (), pdo=False)
+        tries = ("a longer timeout",) if is_asked else ()
+        known = missing_frame(self.network, self.remote, self.now(), cause, tries, pdo=False, is_asked=is_asked)
         raise NodeSilentError(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
 
 
 def _time_of(patience: float | None) -> Time | None:
     """Return seconds as a time-out in ns."""
-    return None if patience is None else max(MILLISECOND, round(patience * SECOND))
+    return None if patience is None else max(MILLISECOND, nanoseconds("patience", patience))
+
+
+def _check_place(index: object, subindex: object) -> tuple[int, int]:
+    """Return the place of an object. Raises LocalProtocolError for what is no index or subindex."""
+    if isinstance(index, int) and isinstance(subindex, int) and 0 <= index <= 0xFFFF and 0 <= subindex <= 0xFF:
+        return index, subindex
+    raise LocalProtocolError(f"object {index!r}:{subindex!r}: give an index of 0..0xFFFF and a subindex of 0..0xFF")

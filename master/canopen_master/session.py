@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmedError, RealtimeRefusedError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.plain_text import clean
+from canopen_master.seconds import check_seconds
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
@@ -65,27 +66,41 @@ def open_master(
     """Open a master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
 
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
-    names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
-    seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
-    supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice
-    that this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See
-    watchdog.py. realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for
-    `Realtime()`; by default nothing. `Master.realtime` and the log say what was given. It is for the thread that runs the
-    loop; at the end it is given back.
+    names may mean one bus. sdo_timeout: seconds (above 0) that a device may take for each answer; by default 0.5.
+    heartbeat_timeout: seconds after which a node whose heartbeat stops is lost (chains then have their joints send
+    heartbeats); by default 0, no supervision. dictionary: for nodes that are given none; by default that of the data files.
+    watchdog: how drives notice that this master is gone, and stop: once it enables a drive, it sends its heartbeat as node
+    127; None for none. See watchdog.py. realtime: what to ask the operating system for, so that SYNC is in time on a busy
+    computer; True for `Realtime()`; by default nothing. `Master.realtime` and the log say what was given. It is for the
+    thread that runs the loop; at the end it is given back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
-    file says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file.
+    file says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file;
+    LocalProtocolError, with nothing opened, for an argument of another kind.
 
     Entering the block raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. On leaving
     it, see this module's text.
     """
+    if sdo_timeout is not None:
+        check_seconds("sdo_timeout", sdo_timeout, above_zero=True)
+    if heartbeat_timeout is not None:
+        check_seconds("heartbeat_timeout", heartbeat_timeout)
+    settings = None if isinstance(realtime, bool) else realtime
+    kinds = (("dictionary", dictionary, ObjectDictionary), ("watchdog", watchdog, Watchdog), ("realtime", settings, Realtime))
+    for argument, given, kind in kinds:
+        if given is not None and not isinstance(given, kind):
+            raise LocalProtocolError(f"{argument} is {given!r}; give {kind.__name__}(...), or None")
+    if buses is not None and not isinstance(buses, Mapping):
+        raise LocalProtocolError(f'buses is {buses!r}; give locators by name, as {{"left": "socketcan:can0"}}')
     if isinstance(machine, str | Path):
         from canopen_master.machine_file import read_machine  # only here: most programs name their bus
 
         machine = read_machine(machine)
     named: dict[str, BusSource] = {}
     if machine is not None:
+        if not hasattr(machine, "buses"):
+            raise LocalProtocolError(f"machine is {machine!r}; give the path of a machine file, or what `read_machine` returns")
         if unknown := (buses or {}).keys() - machine.buses.keys():
             raise LocalProtocolError(f"{machine.source} has no bus {min(unknown)!r}{did_you_mean(min(unknown), machine.buses)}")
         named.update({bus.name: bus.locator for bus in machine.buses.values()})
@@ -100,6 +115,9 @@ def open_master(
             raise LocalProtocolError(f"the bus {name} is named twice")
         named[name] = locator
     named.update(buses or {})
+    for name, source in named.items():
+        if not isinstance(source, str) and not hasattr(source, "receive"):
+            raise LocalProtocolError(f'the locator of {name} is {source!r}; give one as "socketcan:can0", or an open transport')
     if not named:
         raise LocalProtocolError('a master needs a bus: open_master("virtual:demo")')
 

@@ -32,6 +32,7 @@ TIMEOUTS: Final = (0.1, 0.2, 0.5, 1, 2, 3, 5, 10, 20)
 
 SCAN: Final = "canopen scan    (who is there?)"
 DOCTOR: Final = "canopen doctor    (what does the adapter say?)"
+NOT_BOOTED: Final = "it needs longer to start, or did not get the reset"
 LONGER: Final = "a longer sdo_timeout"
 
 
@@ -81,11 +82,13 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
     return Diagnosis(seen, "it is busy, or the answer was lost", (LONGER,))
 
 
-def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool) -> Diagnosis:
+def missing_frame(
+    network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool, is_asked: bool = False
+) -> Diagnosis:
     """Return why a node did not send an expected frame: a PDO, or a boot-up or heartbeat.
 
     cause, tries: for a node that is alive. For a boot-up or heartbeat they also hold for a silent node: a device without a
-    heartbeat is silent until it is asked.
+    heartbeat is silent until it is asked. is_asked: it was, by a reset, so that a silent node is most likely not there.
     """
     if network.outage:
         return _away(network)
@@ -93,6 +96,8 @@ def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tri
     time, seen = _sign_of_life(heard, node, now)
     if time is None:
         silent = _silent(network, heard, now)
+        if is_asked:
+            return Diagnosis(silent.seen, f"{silent.cause}; or {cause}", (*silent.tries, *tries))
         return silent if pdo else Diagnosis(silent.seen, f"{cause}; or {silent.cause}", (*tries, *silent.tries))
     state = _state(heard, node)
     if pdo and state is not None and Service.PDO not in SERVICES[state]:

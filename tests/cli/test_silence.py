@@ -205,6 +205,14 @@ def test_a_node_without_a_heartbeat_is_not_waited_for(run: Run, monkeypatch: pyt
     assert error["seen"] == "it sends no heartbeat: 0x1017 is 0"
 
 
+def test_a_node_that_did_not_boot_after_a_reset_is_not_asked_for_a_heartbeat(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    populate(monkeypatch, saying((0.1, "705#05")))
+    error = run("nmt", "reset", "6", "--wait", "--yes", "--json", *ON_BUS).error
+    absent, slow = "no device has this node-ID, or its power is off", "it needs longer to start, or did not get the reset"
+    assert error["cause"] == [f"{absent}; or {slow}"]
+    assert not any("1017" in each for each in error["try"])
+
+
 def test_an_object_of_another_length_stands_in_the_file_in_use(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     refusal = saying((0.1, "585#8000100010000706"))
     populate(monkeypatch, refusal)

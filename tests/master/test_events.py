@@ -245,16 +245,35 @@ async def test_nmt_commands_to_all_and_to_one() -> None:
 
 
 @virtual_time
+async def test_whoever_has_sent_the_reset_is_never_told_that_a_boot_up_wants_one() -> None:
+    slow = "it needs longer to start, or did not get the reset"
+    async with open_master(BUS) as master:
+        with pytest.raises(NodeSilentError, match="did not boot after a reset within 0.5 s") as caught:
+            await master.node(9).reset(0.5)
+        assert caught.value.cause.startswith("no other node is on it; or wrong bit rate, no power")
+        assert caught.value.cause.endswith(f"; or {slow}")
+        async with simulated(3):
+            await master.node(3).read("statusword")
+            with pytest.raises(NodeSilentError) as caught:
+                await master.node(9).reset(0.5)
+            assert caught.value.cause == f"no device has this node-ID, or its power is off; or {slow}"
+            assert caught.value.tries[-1] == "a longer timeout"
+        with pytest.raises(NodeSilentError) as caught:
+            await master.node(3).reset(0.5)  # it was heard before
+        assert caught.value.cause == slow
+
+
+@virtual_time
 async def test_waiting_for_a_boot_up_or_a_heartbeat() -> None:
     async with simulated(3), open_master(BUS) as master:
         node = master.node(3)
         with pytest.raises(NodeSilentError, match="node 3 did not boot within 2 s") as caught:
             await node.wait_for_boot(2)
         assert isinstance(caught.value, TimeoutError)
-        with pytest.raises(NodeSilentError, match="sent no heartbeat within 1 s"):
+        assert caught.value.cause.startswith("it has no reason to: a boot-up wants a reset")
+        with pytest.raises(NodeSilentError, match="sent no heartbeat within 1 s") as caught:
             await node.wait_for_heartbeat(1)
-        with pytest.raises(NodeSilentError, match="did not boot after a reset"):
-            await master.node(9).reset(1)
+        assert caught.value.cause.startswith("it has no reason to: a heartbeat wants a time in 0x1017")
         async with loop.open_nursery() as nursery:
             nursery.start_soon(node.wait_for_boot)
             await settled()

@@ -1,10 +1,13 @@
 """Simulated devices as a participant of a bus."""
 
+from contextlib import AbstractAsyncContextManager
 from functools import partial
+from typing import Any
 
 import pytest
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
+from canopen_master.simulation import simulated_devices, simulated_drives
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
@@ -12,12 +15,12 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.assign import LssAssignment, assign_all, in_order
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.scan import LssTool
-from canopen_proto.machine import Event, Outbox
+from canopen_proto.machine import Event, LocalProtocolError, Outbox
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectWritten
 from canopen_proto.simulation.drive.node import powerball
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
-from canopen_transports import BusState, BusStateChanged, Report, open_transport
+from canopen_transports import BusState, BusStateChanged, Report, TransportError, open_transport
 from tests.core.devices import io_device
 from tests.loops import loop
 from tests.master.test_pump_abilities import Able
@@ -58,6 +61,50 @@ async def test_a_failing_bus_ends_the_simulation() -> None:
             await nursery.start(simulate, cable, powerballs(3))
             cable.cut()
     assert cable.closed == 1
+
+
+@pytest.mark.both_loops
+@pytest.mark.parametrize("end", [SystemExit(3), KeyboardInterrupt()])
+@virtual_time
+async def test_what_ends_a_program_leaves_the_block_of_simulated_drives_as_it_is(end: BaseException) -> None:
+    with pytest.raises(type(end)) as raised:
+        async with simulated_drives([(BUS, 3)]), open_master(BUS) as master:
+            await master.node(3).read("statusword")
+            raise end
+    assert raised.value is end
+
+
+NO_DEVICES: list[tuple[Any, str]] = [
+    ({BUS: [5]}, "5 makes no device"),
+    ({BUS: [*powerballs(3), None]}, "None makes no device"),
+    ({BUS: powerballs(3)[0]}, "are no list"),
+    ({None: powerballs(3)}, "locator None is no text"),
+    ([BUS], "give the devices of each locator"),
+    ({BUS: powerballs(0)}, "node-ID 0 is outside 1..127"),
+]
+
+
+@pytest.mark.both_loops
+@virtual_time
+async def test_whatever_prevents_simulated_devices_it_comes_out_as_one_error_and_not_as_a_group() -> None:
+    for makers, seen in NO_DEVICES:
+        with pytest.raises(LocalProtocolError, match=seen):
+            await _enter(simulated_devices(makers))
+    for drives in (3, [3], [(BUS, 3, 5)]):
+        with pytest.raises(LocalProtocolError, match="give pairs of a locator and a node-ID"):
+            await _enter(simulated_drives(drives))  # type: ignore[arg-type]
+    with pytest.raises(LocalProtocolError, match="node-ID 0 is outside"):
+        await _enter(simulated_drives([(BUS, 0)]))
+    with pytest.raises(TransportError, match="no interface 'nosuch'") as raised:
+        await _enter(simulated_drives([(BUS, 3), ("nosuch:bus", 3)]))
+    assert raised.value.__context__ is None
+    async with simulated_drives([(BUS, 3)]), open_master(BUS) as master:  # nothing of the others is left on the bus
+        await master.node(3).read("statusword")
+
+
+async def _enter(devices: AbstractAsyncContextManager[object]) -> None:
+    async with devices:
+        pass
 
 
 @pytest.mark.parametrize("ended_by", [BusStateChanged("able", BusState.ACTIVE, "it is back"), Frame.parse("080#")])

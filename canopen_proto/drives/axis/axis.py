@@ -40,7 +40,7 @@ from canopen_proto.drives.axis.settings import HomingStyle as HomingStyle
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
-from canopen_proto.multiplexer import Mux
+from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
 
 _STATUSWORD: Final = objects.STATUSWORD
@@ -83,7 +83,9 @@ class Axis:
         self.remote = node
         self.node = node_of_axis(node, number)
         for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
-            self.node.dictionary.variable(key)
+            if key not in self.node.dictionary:
+                failed = f"{self.title.replace('drive', 'node', 1)} is no drive by {node.dictionary.source or 'its dictionary'}"
+                raise LocalProtocolError(f"{failed}: that has no {mux_text(key)}; a drive needs the file of its device")
         self._store, self._heard_at = self.node.values.store, self.node.heard_at  # as near as can be: looked at for each PDO
         self._settings = self._given = settings
         self.scale = Scale(self.title, settings)

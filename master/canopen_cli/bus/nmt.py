@@ -18,7 +18,7 @@ from canopen_cli.shared.text_gateway import open_text
 from canopen_cli.shared.time_left import time_left
 from canopen_master.errors import SdoError
 from canopen_master.node import Node
-from canopen_master.silence import missing_frame
+from canopen_master.silence import NOT_BOOTED, missing_frame
 from canopen_proto import indices
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
@@ -112,7 +112,10 @@ async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id:
                     async for report in reports:
                         if getattr(report, "state", expected) is expected:
                             return expected
-        cause, tries = "it sends no heartbeat", (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)",)
-        known = missing_frame(session.network, node.remote, session.master.now(), cause, tries, pdo=False)
+        is_reset = command in RESETS
+        cause = NOT_BOOTED if is_reset else "it sends no heartbeat"
+        tries = () if is_reset else (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)",)
+        now = session.master.now()
+        known = missing_frame(session.network, node.remote, now, cause, tries, pdo=False, is_asked=is_reset)
     failed = f"node {node_id} did not show within {WAIT_TIME:g} s that it is done"
     raise CommandError(ExitCode.NO_ANSWER, "CO210", failed, node=node_id, **known._asdict())

@@ -32,6 +32,7 @@ import trio
 from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Work, forked, held_in_shared_loop
 from canopen_master.errors import CallTimeoutError, MasterClosedError
 from canopen_master.plain_text import clean_lines
+from canopen_master.seconds import check_seconds
 from canopen_proto.machine import LocalProtocolError
 
 P = ParamSpec("P")
@@ -135,9 +136,11 @@ class Background(Generic[T]):
         timeout: seconds; then the call is taken back, and once that is done CallTimeoutError is raised. None: no limit.
 
         If the context is over, raises the error that ended it, or MasterClosedError. If interrupted, takes the call back and
-        waits for its clean-up. Raises LocalProtocolError if called in the loop's own thread, which would wait for itself, and
-        in a child process.
+        waits for its clean-up. Raises LocalProtocolError for a timeout that is no number of seconds, 0 or more; if called in the
+        loop's own thread, which would wait for itself; and in a child process.
         """
+        if timeout is not None:
+            check_seconds("timeout", timeout, finite=False)
         result: R = self._called(_Call(self, function, args, kwargs, timeout))
         return result
 

@@ -1101,7 +1101,8 @@ class BlockingMaster(MasterTwin):
         name: for people, by default "node 12". axis: 0..7, of a node with several drives: the objects of axis k are those of the
         first one plus k * 0x800; its dictionary must have them. settings: units and habits of the drive; by default those of CiA
         402, or those of Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError if the drive is in
-        use with other settings (it names the differences), and for an axis that the dictionary does not have.
+        use with other settings (it names the differences), for a node that is no drive by its dictionary, and for an axis that
+        the dictionary does not have.
         """
         found = self._hub.do(self._inner.device, node._inner, name, settings, axis=axis)
         return self._hub.twin(BlockingDevice, found)
@@ -1404,17 +1405,18 @@ def open_master(
     """Open a master of one or several buses, at once: `with open_master("socketcan:can0") as master: ...`
 
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
-    names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
-    seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
-    supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice that
-    this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See watchdog.py.
-    realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for `Realtime()`; by default
-    nothing. `Master.realtime` and the log say what was given. It is for the thread that runs the loop; at the end it is given
-    back.
+    names may mean one bus. sdo_timeout: seconds (above 0) that a device may take for each answer; by default 0.5.
+    heartbeat_timeout: seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats);
+    by default 0, no supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how
+    drives notice that this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none.
+    See watchdog.py. realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for
+    `Realtime()`; by default nothing. `Master.realtime` and the log say what was given. It is for the thread that runs the loop;
+    at the end it is given back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the file
-    says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file.
+    says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file;
+    LocalProtocolError, with nothing opened, for an argument of another kind.
 
     Raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. How it ends: docs/blocking.md.
     """
@@ -1484,6 +1486,6 @@ def simulated_devices(
     """Serve devices, by locator, while the block runs. keeper, say: as of `Host`. on_event: called with each event of the
     devices.
 
-    Raises BusError, TransportError, ScriptError.
+    Raises BusError, TransportError, ScriptError; LocalProtocolError for what is no locator, or makes no device.
     """
     return open_context(BlockingSimulatedDevices, lambda: _simulated_devices(makers, on_event, keeper=keeper, say=say))

@@ -23,7 +23,7 @@ from canopen_master.errors import BusError, MasterClosedError
 from canopen_master.master import Master
 from canopen_master.motion.moving import together
 from canopen_master.node import Node
-from canopen_master.participant.dispatch import Watcher
+from canopen_master.participant.dispatch import Watcher, check_callback, event_kinds
 from canopen_master.session import MasterSession
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key
@@ -135,7 +135,8 @@ class Watchable(Protocol):
 
 def on(hub: Hub, inner: Watchable, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
     """See `MasterTwin.on`."""
-    kinds: tuple[type[Event], ...] = kind if isinstance(kind, tuple) else (kind,)
+    check_callback(callback)
+    kinds: tuple[type[Event], ...] = event_kinds(kind)
     handler = hub.callbacks.handler(callback)
 
     def begin(context: Any) -> None:
@@ -170,7 +171,8 @@ class MasterTwin(Twin[Master]):
         """Call a function with each event of a kind, or of several, from now on: `master.on(EmcyReceived, print)`.
 
         callback: is called in a thread of its own, with one event after the other; it may call the master, and take long. If it
-        raises, the error is shown, and the next event comes. Events that wait are bounded: `Handler.dropped`. Raises BusError,
+        raises, the error is shown, and the next event comes. Events that wait are bounded: `Handler.dropped`. Raises
+        LocalProtocolError for a kind that is no class of events, and for a callback that is no plain function; BusError,
         MasterClosedError.
         """
         return on(self._hub, self._inner, kind, callback)
@@ -212,6 +214,14 @@ class NodeTwin(Twin[Node]):
     def __setitem__(self, key: Any, value: Any) -> None:
         """Write a value, or a constant by its name: `node["producer_heartbeat_time"] = 500`. Raises as `write`."""
         self._hub.run(None, self._inner.write, key, value)
+
+    # Without these two, Python would ask for node[0], node[1] ...: reads on the bus
+
+    def __contains__(self, key: object) -> NoReturn:
+        raise TypeError(f"`in` does not look into a node; is it in its dictionary: {key!r} in node.dictionary")
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError("a node cannot be iterated over; its objects are those of its dictionary: for each in node.dictionary")
 
     def on(self, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
         """Call a function with each event of this node; see the `on` of the master."""

@@ -39,6 +39,7 @@ from canopen_master.master import Master
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_master.node import Node
+from canopen_master.seconds import nanoseconds
 from canopen_master.simulation.host import patient_cycles
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
@@ -388,7 +389,7 @@ class Session:
 
     def wait_for_status(self, node: int | str, constant: str, timeout: float = 1.0) -> bool:
         """Wait until the statusword bears a constant, such as "operation_enable". Returns False after `timeout` seconds."""
-        return self._attempt(node, lambda drive: drive.wait_for(constant, round(timeout * SECOND)))
+        return self._attempt(node, lambda drive: drive.wait_for(constant, nanoseconds("timeout", timeout)))
 
     def set_motor_state(self, node: int | str, state: str) -> bool:
         """Lead the drive to a state, up or down, by the shortest way. state: a constant of statusword, such as "switched_on".

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from canopen_master.seconds import check_seconds
 from canopen_proto.drives.axis.following import SILENT_SYNCS
 from canopen_proto.drives.axis.motion_plan import MODES
 from canopen_proto.drives.cia402.modes import Mode, short_name
@@ -29,7 +30,8 @@ class ChainSettings:
     that does not send its PDO, until the chain is stopped; and 20 ms at least, since adapters hold frames back.
 
     mode: in which the joints follow set-points: ip, csp, or pp, which is slow (slow_position.py of the core). None: the
-    best one for each joint, by its own dictionary; own_pdos is implied. Raises LocalProtocolError for any other mode.
+    best one for each joint, by its own dictionary; own_pdos is implied. Raises LocalProtocolError for any other mode, and for a
+    cycle_time that is not above 0.
 
     feed_forward: with own_pdos: give joints one more RPDO for what is fed forward. In csp the velocity of a path (0x60B1) and
     torques (0x60B2): for drives that do not feed the velocity forward by themselves, or they would do it twice. In ip the
@@ -48,6 +50,7 @@ class ChainSettings:
     feed_forward: bool = False
 
     def __post_init__(self) -> None:
+        check_seconds("cycle_time", self.cycle_time, above_zero=True)
         if self.mode is None:
             return
         if self.mode not in MODES:

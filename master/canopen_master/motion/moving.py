@@ -34,6 +34,7 @@ from canopen_master.motion.member import Member
 from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin, source_of
 from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
+from canopen_master.seconds import check_seconds
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
 from canopen_proto.drives.trajectory.margin import Margin
 from canopen_proto.drives.trajectory.path_clock import check_override
@@ -93,11 +94,13 @@ class Moving:
         Raises ChainError if the chain moves already, if a drive does not stand, lacks the mode, or has lost its reference (see
         `recover`); ChainHaltedError, ChainFaultError if it is stopped on its way.
         """
+        _check_function("torques", torques, "a function that returns the torques at a point")
         if path is None:
             for member in self._members:
                 await member.follow_set_points("follow set-points")
             return
         if not isinstance(path, Path):
+            _check_function("path", path, "a path, as `cubic` of canopen_proto.drives, or a function that returns one")
             await self._take_over("follow a path", path, torques, is_checked=False)
             return
         await self._begin_following("follow a path")
@@ -122,6 +125,8 @@ class Moving:
         from canopen_master.trajectories.scaled_joints import check_share
 
         check_share("speed", speed)
+
+        _check_function("torques", torques, "a function that returns the torques at a point")
 
         def planned(start: PathPoint) -> Path:
             with self._names_joints():
@@ -167,6 +172,8 @@ class Moving:
         from canopen_master.trajectories.target_stream import TargetStream
 
         check_share("speed", speed)
+        if renew_within is not None:
+            check_seconds("renew_within", renew_within)
         await self._begin_following(what)
         self._require_movable(what)
         renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))
@@ -325,6 +332,8 @@ class Moving:
             limits, margin = self.path_limits, None
             start, present = self._present(), self.present_motion
             path = make(start)
+            if not isinstance(path, Path):
+                raise LocalProtocolError(f"the function that was given as a path returned {path!r}, which is no Path")
             is_moving = any(start.velocities) or any(start.accelerations)
             if not is_checked and is_moving:
                 check_now(self._devices, path, start, limits, self._period)
@@ -465,3 +474,8 @@ def together(*chains: Moving) -> Together:
     Raises LocalProtocolError for chains that have another cycle_time or a joint in common.
     """
     return Together(tuple(member for chain in chains for member in chain.members))
+
+
+def _check_function(name: str, given: object, wanted: str) -> None:
+    if given is not None and not callable(given):
+        raise LocalProtocolError(f"{name} {given!r} is none; give {wanted}")

@@ -5,14 +5,37 @@ This happens inside the pump's turn, and nothing here blocks. If a callback rais
 
 from __future__ import annotations
 
+import inspect
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from canopen_master.participant.bus import Bus
-from canopen_proto.machine import Event, Outcome, RequestId, Time
+from canopen_proto.machine import Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.sdo.events import SdoProgress
 from canopen_transports.loop import CancelScope, ParkingLot, current_loop
+
+E = TypeVar("E", bound=Event)
+
+
+def event_kinds(kinds: type[E] | tuple[type[E], ...]) -> tuple[type[E], ...]:
+    """Return the kinds of events that somebody asks for. Raises LocalProtocolError if there are none, or one is no class of
+    events: the dispatcher would meet it at the next event, and end the master."""
+    if kinds == ():
+        raise LocalProtocolError("events of which kinds? Event means all")
+    found = kinds if isinstance(kinds, tuple) else (kinds,)
+    for kind in found:
+        if not isinstance(kind, type) or not issubclass(kind, Event):
+            raise LocalProtocolError(f"{kind!r} is no kind of event; give classes derived from Event, such as NodeBooted")
+    return found
+
+
+def check_callback(callback: object) -> None:
+    """Raise LocalProtocolError for a callback that cannot be called with an event, or whose coroutine nobody would await."""
+    if not callable(callback):
+        raise LocalProtocolError(f"callback {callback!r} cannot be called; give a function that takes an event")
+    if inspect.iscoroutinefunction(callback) or inspect.iscoroutinefunction(type(callback).__call__):
+        raise LocalProtocolError(f"callback {callback!r} is a coroutine function, which nobody awaits; give a plain one")
 
 
 class ProcedureTakenBackError(Exception):

@@ -15,15 +15,16 @@ this process was stalled, those who follow it may look at their drives (`SyncGua
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, Final, Protocol, TypeVar
 
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError
 from canopen_master.participant.bus import Bus
-from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher
+from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher, check_callback, event_kinds
 from canopen_master.participant.pump import Pump
 from canopen_master.participant.requests import OpenRequest
 from canopen_master.participant.subscription import Subscription
+from canopen_master.seconds import nanoseconds
 from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
@@ -184,7 +185,7 @@ class Participant:
         import canopen_proto.observer.observer  # noqa: F401 - an error would import it, for 40 ms, between two SYNCs
 
         self.check_open()
-        now, period_ns = self.now(), nanoseconds(period)
+        now, period_ns = self.now(), nanoseconds("period", period, above_zero=True)
         self._before_ordered_sync(now)
         for bus in self._own_buses:
             bus.start_sync(period_ns, now)
@@ -290,6 +291,9 @@ class Participant:
 
     def start(self, procedure: Procedure[Any]) -> tuple[RequestId, Waiter]:
         """Start a procedure, and send nothing of it yet: `pump` has to follow. `ProcedureSlot` does both."""
+        if not isinstance(procedure, Generator):
+            what_to_do = "give one of canopen_proto.procedures, as read(node.remote, 0x1000); a coroutine is awaited"
+            raise LocalProtocolError(f"procedure {procedure!r} is none; {what_to_do}")
         request_id = self.runner.start(procedure, self.now())
         self._procedures.add(request_id)
         return request_id, self._dispatcher.expect(self._root, request_id, self.runner)
@@ -304,10 +308,12 @@ class Participant:
 
     @protected
     def subscribe(self, kinds: tuple[type[E], ...], bus: Bus | None = None, node_id: int = 0) -> Subscription[E]:
-        """Return a Subscription to all events of these kinds from now on, of one bus and node, or of all (None, 0)."""
+        """Return a Subscription to all events of these kinds from now on, of one bus and node, or of all (None, 0).
+
+        Raises LocalProtocolError for no kind, and for one that is no class derived from Event.
+        """
         self.check_open()
-        if not kinds:
-            raise LocalProtocolError("events of which kinds? Event means all")
+        kinds = event_kinds(kinds)
         subscription: Subscription[E] = Subscription(self._unsubscribe)
         self._subscriptions[subscription] = self._dispatcher.watch(kinds, subscription.put, bus, node_id, subscription.put_all)
         self._tell_networks()
@@ -322,8 +328,13 @@ class Participant:
         self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
     ) -> Watcher:
         """Call `callback` with each event of these kinds, in the pump's turn. It must not raise or block. bus: only of this one;
-        None: of all. node_id: only of this one; 0: of all."""
-        watcher = self._dispatcher.watch(kinds, callback, bus, node_id)
+        None: of all. node_id: only of this one; 0: of all.
+
+        Raises LocalProtocolError for kinds as `subscribe`, and for a callback that is no plain function: a coroutine would not be
+        awaited.
+        """
+        check_callback(callback)
+        watcher = self._dispatcher.watch(event_kinds(kinds), callback, bus, node_id)
         self._tell_networks()
         return watcher
 
@@ -465,8 +476,3 @@ class ProcedureSlot:
             case outcome:
                 assert isinstance(outcome, ProcedureCancelled)
                 raise ProcedureTakenBackError
-
-
-def nanoseconds(seconds: float) -> Time:
-    """Seconds, as users give them, in ns, as machines take them."""
-    return round(seconds * SECOND)

@@ -21,13 +21,13 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.lss.messages import UNCONFIGURED
-from canopen_proto.machine import Event, Time
+from canopen_proto.machine import Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_transports import Transport, open_transport
-from canopen_transports.loop import CancelScope, TaskStatus, current_loop
+from canopen_transports.loop import CancelScope, Nursery, TaskStatus, current_loop
 from canopen_transports.loop.beside import beside
 from canopen_transports.tracing import for_devices
 
@@ -157,7 +157,7 @@ async def simulated_drives(
     make = partial(drive_maker, shape=shape) if make is None else make
     makers: dict[str, list[DeviceMaker]] = {}
     places: set[tuple[str, int]] = set()
-    for number, (locator, node_id) in enumerate(drives):
+    for number, (locator, node_id) in enumerate(_pairs(drives)):
         if (locator, node_id) not in places or node_id == UNCONFIGURED:  # further axes are in the node of the first one
             places.add((locator, node_id))
             makers.setdefault(locator, []).append(make(number, node_id))
@@ -176,21 +176,62 @@ async def simulated_devices(
     """Serve devices, by locator, while the block runs. keeper, say: as of `Host`. on_event: called with each event of the
     devices.
 
-    Raises BusError, TransportError, ScriptError.
+    Raises BusError, TransportError, ScriptError; LocalProtocolError for what is no locator, or makes no device.
     """
+    _check_makers(makers)
 
     def host_on(transport: Transport, each: Sequence[DeviceMaker]) -> Host:
         return Host(transport, each, on_event, keeper=keeper, say=say)
 
     async with beside(current_loop().open_nursery()) as nursery:
         serving = current_loop().cancel_scope()
-        hosts: list[Host] = await nursery.start(_serve, makers, host_on, serving)
+        hosts = await _begun(nursery, makers, host_on, serving)
         serving.shield = True  # only from now on: a start that is cancelled waits for its tasks, which must end then
         try:
             await current_loop().sleep(BOOT_TIME)
             yield SimulatedDevices(hosts)
         finally:
             serving.cancel()
+
+
+def _pairs(drives: Iterable[tuple[str, int]]) -> list[tuple[str, int]]:
+    try:
+        return [(locator, node_id) for locator, node_id in drives]
+    except (TypeError, ValueError):
+        raise LocalProtocolError(f'drives {drives!r}: give pairs of a locator and a node-ID, as [("virtual:demo", 3)]') from None
+
+
+def _check_makers(makers: Mapping[str, Sequence[DeviceMaker]]) -> None:
+    form = 'give the devices of each locator, as {"virtual:demo": [DeviceModel(dictionary, 5)]}'
+    if not isinstance(makers, Mapping):
+        raise LocalProtocolError(f"makers {makers!r}: {form}")
+    for locator, each in makers.items():
+        if not isinstance(locator, str):
+            raise LocalProtocolError(f'locator {locator!r} is no text; give one as "virtual:demo"')
+        if not isinstance(each, Sequence):
+            raise LocalProtocolError(f"the devices of {locator} are no list: {each!r}; {form}")
+        for make in each:
+            if not callable(make):
+                raise LocalProtocolError(f"{locator}: {make!r} makes no device; {form}")
+
+
+async def _begun(
+    nursery: Nursery,
+    makers: Mapping[str, Sequence[DeviceMaker]],
+    host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
+    scope: CancelScope,
+) -> list[Host]:
+    """Begin to serve. Raises the one error that prevents it, and no group of the nurseries of `_serve`."""
+    failure: BaseException
+    try:
+        hosts: list[Host] = await nursery.start(_serve, makers, host_on, scope)
+    except ExceptionGroup as group:
+        failure = group
+    else:
+        return hosts
+    while isinstance(failure, ExceptionGroup) and len(failure.exceptions) == 1:
+        failure = failure.exceptions[0]
+    raise failure  # outside of the handler: the group would be its context
 
 
 async def _serve(

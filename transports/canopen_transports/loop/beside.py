@@ -21,14 +21,14 @@ N = TypeVar("N", bound=_HasScope)
 async def beside(nursery: AbstractAsyncContextManager[N]) -> AsyncIterator[N]:
     """Run tasks beside the block, and cancel them at its end, however it ends. nursery: a new one, for these tasks.
 
-    An exception of the block comes out as it is, with its cause: the nursery would put it into a group. One of a task cancels the
-    block, and comes out in a group, as from any nursery.
+    An exception of the block comes out as it is, with its cause: the nursery would put it into a group. So do a Ctrl-C and
+    SystemExit, whose status is that of the program. One of a task cancels the block, and comes out in a group, as from a nursery.
     """
-    failure: Exception | None = None
+    failure: BaseException | None = None
     async with nursery as tasks:
         try:
             yield tasks
-        except Exception as error:  # noqa: BLE001 - raised below, outside of the nursery
+        except (Exception, SystemExit, KeyboardInterrupt) as error:  # noqa: BLE001 - raised below, outside of the nursery
             failure = error
         tasks.cancel_scope.cancel()
     if failure is not None:
