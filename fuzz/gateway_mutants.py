@@ -19,6 +19,7 @@ LSS: Final = ("tests/gateway/test_ascii_lss.py",)
 DOOR: Final = ("tests/gateway/test_ascii_door.py",)
 NETS: Final = ("tests/gateway/test_several_nets.py",)
 FLEET: Final = ("tests/gateway/test_fleet.py",)
+TWINS: Final = ("tests/gateway/test_fleet_twins.py",)
 FLEET_WEB: Final = ("tests/gateway/test_fleet_web.py",)
 PICTURE: Final = ("tests/gateway/test_fleet_picture.py",)
 LEAD: Final = ("tests/gateway/test_fleet_lead.py",)
@@ -573,6 +574,22 @@ GATEWAY_MUTANTS: Final = tuple(
             "        if found is not None and found[1][0] in ():",
             "a halt is refused, since somebody reads much",
             FLEET,
+        ),
+        (
+            "fleet_halt_waits_for_a_twin",
+            f"{_FLEET}/bridge.py",
+            "        if self._taking is Taking.NOTHING or (self._taking is Taking.HALTS and not is_halt):",
+            "        if self._taking is not Taking.ALL:",
+            "no halt reaches a bridge that waits for the token of the one that has crashed",
+            TWINS,
+        ),
+        (
+            "fleet_twins_serve",
+            f"{_FLEET}/bridge.py",
+            """                return "" if self._twin else taken\n""",
+            """                return ""\n""",
+            "two bridges of one name serve, and clients refuse the answers of both",
+            TWINS,
         ),
         (
             "fleet_writes_to_all",

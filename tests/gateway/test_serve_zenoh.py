@@ -6,6 +6,7 @@ import json
 import sys
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ import trio
 from canopen_cli.app import main
 from canopen_cli.shared.problem import ExitCode
 from canopen_gateway import open_gateway, parse_permissions
-from canopen_gateway.fleet import bind_fleet_door
+from canopen_gateway.fleet import bind_fleet_door, bridge
+from canopen_gateway.fleet.joining import open_zenoh
 from canopen_master import open_master
 from canopen_master.simulation.serving import simulated_drives
 from tests.cli.cli_support import Outcome, Run, runner
@@ -194,6 +196,24 @@ def test_serve_says_where_it_is_and_ends(run: Run) -> None:
     status, out, _ = run("serve", "zenoh", "--site", "hall", "-b", "demo", "--listen", endpoint, "--seconds", "0.1", "--json")
     assert status == ExitCode.OK
     assert json.loads(out) == {"site": "hall", "buses": ["virtual-demo"], "listen": [endpoint], "connect": [], "allow": []}
+
+
+def test_a_site_that_another_bridge_has_is_refused_in_words_unless_it_is_said_to_be_a_twin(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bridge, "TWIN_WAIT", 0.3)
+    endpoint = free_endpoint()
+    other = trio.run(partial(open_zenoh, listen=[endpoint], mode="router"))
+    token = other.liveliness().declare_token("canopen/v1/hall/virtual-demo/alive")
+    words = ("serve", "zenoh", "--site", "hall", "-b", "demo", "--connect", endpoint, "--seconds")
+    status, _, err = run(*words, "20")
+    assert status == ExitCode.CANNOT_OPEN
+    for told in ("canopen/v1/hall/virtual-demo/alive", "--site", "--twin"):
+        assert told in err
+    assert run(*words, "0.5", "--twin").status == ExitCode.OK
+    token.undeclare()  # type: ignore[no-untyped-call]
+    assert run(*words, "0.5").status == ExitCode.OK
+    other.close()  # type: ignore[no-untyped-call]
 
 
 def test_a_router_says_where_it_is_and_ends(run: Run) -> None:

@@ -41,6 +41,7 @@ class SiteName(TextKind):
 @zenoh_file
 @allowing
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
+@click.option("--twin", is_flag=True, help="Serve though another bridge has the same site and bus: both halt, no more.")
 @lasting()
 @common
 def serve_zenoh(
@@ -51,6 +52,7 @@ def serve_zenoh(
     config: Path | None,
     allow: frozenset[Permission],
     reachable: bool,
+    twin: bool,
     seconds: float | None,
 ) -> None:
     """Bring the buses of this computer into a fleet, on Zenoh, until Ctrl-C.
@@ -69,7 +71,7 @@ def serve_zenoh(
     serve_door(
         settings,
         screen,
-        lambda: bind_fleet_door(site, connect=connect, listen=endpoints, config=config, reachable=reachable),
+        lambda: bind_fleet_door(site, connect=connect, listen=endpoints, config=config, reachable=reachable, twin=twin),
         lambda: open_service(settings, screen, allow),
         lambda door, service: _tell(settings, screen, door, service, endpoints, connect, config),
         seconds,

@@ -13,6 +13,8 @@
   loses it after 300 ms, by the clock of this computer.
 - Strings of devices and of clients are data: a name that is no plain one is refused, or goes as JSON.
 - If the door itself fails, it is closed, and says why (`failure`); the master goes on.
+- Two bridges of one name are one too many: clients refuse the answers of both. So a bridge first asks for the tokens of its own
+  keys, and does not serve while another one's is alive; from its first moment on it halts for whoever asks.
 """
 
 from __future__ import annotations
@@ -25,12 +27,13 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import trio
 
-from canopen_gateway.errors import GatewayError, GatewayFullError, QueryRefusedError
+from canopen_gateway.errors import DoorError, GatewayError, GatewayFullError, QueryRefusedError
 from canopen_gateway.fleet import keys
 from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_bus, parse_key
@@ -57,6 +60,13 @@ from canopen_proto.procedures import ProcedureError
 if TYPE_CHECKING:
     import zenoh
 
+TWIN_WAIT: Final = 5.0
+"""Seconds for which a bridge waits for the token of another one of its name to end. That of a program that has crashed lives on
+for HUNG_TIME, and is told on from router to router."""
+TWIN_LOOK: Final = 0.2
+"""Seconds from one look for such a token to the next."""
+TWIN_ANSWER: Final = 1.0
+"""Seconds that a look takes at most, where somebody on the way is hung."""
 STATUS_PERIOD: Final = 1.0
 """Seconds from one status of a bus to the next."""
 SILENT_AFTER: Final = 3 * SECOND
@@ -79,13 +89,24 @@ Answer: TypeAlias = tuple[str | None, bytes, bytes | None]
 _LOST: Final = (GatewayCode.HEARTBEAT_LOST,)
 
 
+class Taking(Enum):
+    """Which queries a bridge takes."""
+
+    NOTHING = "nothing"
+    HALTS = "halts"
+    ALL = "all"
+
+
 class FleetDoor:
     """See this module's text; made by `bind_fleet_door`. site: its name in keys. failure: why it was closed, or None. buses: the
     nets by their names in keys, once it serves. dropped: events that came faster than they were taken; dropped_queries: queries
     that got no answer, since too many waited."""
 
-    def __init__(self, session: zenoh.Session, site: str) -> None:
+    def __init__(self, session: zenoh.Session, site: str, twin: bool = False) -> None:
+        """twin: serve though another bridge has the same name."""
         self.site = site
+        self._twin = twin
+        self._taking = Taking.NOTHING
         self.failure: Exception | None = None
         self.buses: dict[str, str] = {}
         self._zenoh = session
@@ -127,7 +148,8 @@ class FleetDoor:
 
     async def serve(self, service: GatewayService) -> None:
         """Serve the fleet until cancelled. Returns early only if the door itself fails; see `failure`. Raises GatewayFullError,
-        ValueError if two buses would have one name."""
+        ValueError if two buses would have one name; DoorError if another bridge of the fleet serves a bus of this name, and still
+        does so after TWIN_WAIT seconds. Until that is known, halts are served, and nothing else."""
         import zenoh
 
         self.buses = self.names_of(service.nets)
@@ -136,14 +158,23 @@ class FleetDoor:
         self._lead = RemoteLead(service.lease)
         async with self:
             with service.open_session(f"the fleet, as {self.site}") as self._session:
+                taken = ""
                 try:
                     async with trio.open_nursery() as nursery:
-                        self._begin(nursery)
+                        self._listen(nursery)
+                        taken = await self._taken_key()
+                        if taken:
+                            self._taking = Taking.NOTHING  # the halts that are under way come to their end
+                        else:
+                            self._begin(nursery)
                 except* zenoh.ZError as failed:
                     self.failure = failed.exceptions[0]
                     LOGGER.warning("the door to the fleet is closed: %s", self.failure)
                 finally:
+                    self._taking = Taking.NOTHING
                     self._tokens.clear()
+                if taken:
+                    raise _twin_error(taken)
 
     def names_of(self, nets: Sequence[str]) -> dict[str, str]:
         """Return the nets by their names in keys. Raises ValueError if two would have one name."""
@@ -159,7 +190,8 @@ class FleetDoor:
 
     # ---- what goes out ----
 
-    def _begin(self, nursery: trio.Nursery) -> None:
+    def _listen(self, nursery: trio.Nursery) -> None:
+        """Take queries, of which only halts are served yet."""
         token = trio.lowlevel.current_trio_token()
 
         def take(query: zenoh.Query) -> None:  # in a thread of Zenoh
@@ -168,6 +200,25 @@ class FleetDoor:
             except trio.RunFinishedError:
                 query.drop()  # type: ignore[no-untyped-call]
 
+        self._taking = Taking.HALTS
+        self._zenoh.declare_queryable(f"{keys.ROOT}/{self.site}/**", take)
+
+    async def _taken_key(self) -> str:
+        """Return the key of another bridge of this name that is alive; "" if there is none, or its end has come in time."""
+        alive = [key_of(FleetPlace(self.site, name), keys.ALIVE) for name in self.buses]
+        over = trio.current_time() + TWIN_WAIT
+        told = False
+        while True:
+            taken = await trio.to_thread.run_sync(_first_alive, self._zenoh, alive, abandon_on_cancel=True)
+            if not taken or self._twin or trio.current_time() >= over:
+                return "" if self._twin else taken
+            if not told:
+                told = True
+                LOGGER.warning("another bridge is alive: %s. Waiting %g s for its end", taken, TWIN_WAIT)
+            await trio.sleep(TWIN_LOOK)
+
+    def _begin(self, nursery: trio.Nursery) -> None:
+        self._taking = Taking.ALL
         for name, net in self.buses.items():
             self._appear(FleetPlace(self.site, name))
             self._session.hear_boot_ups(net, True)
@@ -176,7 +227,6 @@ class FleetDoor:
             nursery.start_soon(self._publish_pdos, name, net)
             nursery.start_soon(self._publish_status, name, net)
             nursery.start_soon(self._ask_around, name, net)
-        self._zenoh.declare_queryable(f"{keys.ROOT}/{self.site}/**", take)
         nursery.start_soon(self._publish_events)
 
     async def _publish_events(self) -> None:
@@ -301,11 +351,15 @@ class FleetDoor:
 
     def _take(self, query: zenoh.Query, nursery: trio.Nursery) -> None:
         """Begin with a query, in trio's thread."""
+        key = str(query.key_expr)
+        found = parse_key(key)
+        is_halt = found is not None and found[1][0] == keys.HALT
+        if self._taking is Taking.NOTHING or (self._taking is Taking.HALTS and not is_halt):
+            query.drop()  # type: ignore[no-untyped-call]  # as if nobody were here
+            return
         if self._is_copy(query):
             query.drop()  # type: ignore[no-untyped-call]
             return
-        key = str(query.key_expr)
-        found = parse_key(key)
         if found is not None and found[1][0] in URGENT:  # they have room of their own, whatever else is asked
             if self._urgent >= MOST_WAITING:
                 query.drop()  # type: ignore[no-untyped-call]  # as many halts are under way
@@ -460,14 +514,40 @@ class FleetDoor:
         await self._session.write(net, place.node_id, index, subindex, payload)
 
 
+def _first_alive(session: zenoh.Session, alive: Sequence[str]) -> str:
+    """Return the first of these keys whose token is alive; "" if none is. It waits for Zenoh."""
+    return next((key for key in alive for each in session.liveliness().get(key, timeout=TWIN_ANSWER) if each.ok is not None), "")
+
+
+def _twin_error(key: str) -> DoorError:
+    return DoorError(
+        f"another bridge serves this site and bus: {key} is alive",
+        seen=f"it still is after {TWIN_WAIT:g} s, so its program has not crashed",
+        cause="two bridges have one name, and clients refuse the answers of both",
+        tries=(
+            "--site with another name",
+            "another name of the bus, in a machine file",
+            "end the other bridge: canopen fleet ls --json tells its bus",
+            "--twin, if both have to be there: halts go to both",
+        ),
+    )
+
+
 async def bind_fleet_door(
-    site: str, *, connect: Sequence[str] = (), listen: Sequence[str] = (), config: Path | None = None, reachable: bool = False
+    site: str,
+    *,
+    connect: Sequence[str] = (),
+    listen: Sequence[str] = (),
+    config: Path | None = None,
+    reachable: bool = False,
+    twin: bool = False,
 ) -> FleetDoor:
-    """Join a fleet as a bridge, before anything moves; `FleetDoor.serve` then serves it. site: its name. For the rest, and what
-    is raised, see `open_zenoh`; also ValueError for a name that cannot stand in a key."""
+    """Join a fleet as a bridge, before anything moves; `FleetDoor.serve` then serves it. site: its name. twin: serve though
+    another bridge has the same name, whose clients then refuse the answers of both but to a halt. For the rest, and what is
+    raised, see `open_zenoh`; also ValueError for a name that cannot stand in a key."""
     check_name("site", site)
     session = await open_zenoh(connect=connect, listen=listen, config=config, reachable=reachable, mode="router")
-    return FleetDoor(session, site)
+    return FleetDoor(session, site, twin)
 
 
 def _object(node: Node, text: str) -> tuple[int, int]:
