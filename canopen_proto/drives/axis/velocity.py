@@ -82,8 +82,11 @@ def run_at(
     acceleration: float | None = None,
     deceleration: float | None = None,
     news: Callable[[Running], object] | None = None,
-) -> Procedure[None]:
+) -> Procedure[float | None]:
     """Run at a velocity, in the user's unit per second, for `duration` ns (None: until this is cancelled); then halt.
+
+    Returns the velocity that the drive showed last before its halt (0x606C; in vl 0x6044 before it), in the user's unit per
+    second; None: it shows none, or in a unit that is not known.
 
     mode: pv or vl; None: pv, else vl, whichever the drive has. acceleration, deceleration: per second², rounded down to the
     drive's unit; None: the drive's own. news: called when the drive has its command, and when it shows the velocity.
@@ -105,6 +108,7 @@ def run_at(
         yield from halt_after(axis, cause, run.forget)
         raise
     yield from halt_and_forget(axis, run.forget)
+    return run.measured
 
 
 class _Run:
@@ -132,6 +136,7 @@ class _Run:
         self._first: int | None = None
         self._side = 1 if velocity * axis.settings.direction >= 0 else -1
         self._margin = 0.0
+        self.measured: float | None = None
         self._is_reached = False
         self._began: Time = 0
         self._looked: tuple[Time, int] | None = None
@@ -302,6 +307,7 @@ class _Run:
         axis = self._axis
         reads = {
             objects.POSITION_ACTUAL_VALUE: POLL_INTERVAL if self._is_bounded else FRESH,
+            **dict.fromkeys(self._shown, FRESH),
             objects.VL_VELOCITY_DEMAND: FRESH,
         }
         if self._mode is not Mode.VELOCITY:
@@ -321,8 +327,19 @@ class _Run:
             return True if is_over else None
 
         yield from watch.until(judge, NEVER)
+        for key, unit in self._shown.items():
+            shown = axis.node.values.store.get(key)
+            if self.measured is None and watch.heard(key) is not None and isinstance(shown, int):
+                self.measured = axis.scale.way_from_counts(shown * unit)
         if not self._is_reached and (yield from current_time()) < end:
             raise (yield from late(axis, f"did not reach {self._velocity:g} per second within {reach / SECOND:g} s"))
+
+    @property
+    def _shown(self) -> dict[Mux, float]:
+        """The objects in which the drive may show its velocity, the best first, and the counts per second in one unit of each."""
+        unit = self._axis.scale.velocity_unit
+        shown = {objects.VL_VELOCITY_ACTUAL_VALUE: self._unit} if self._mode is Mode.VELOCITY else {}
+        return shown if unit is None else {**shown, objects.VELOCITY_ACTUAL_VALUE: unit}
 
     def _time_to_reach(self) -> Procedure[Time]:
         """Return how long the drive may take to reach its velocity: its ramp, and `reaction_time` and `state_timeout` more."""
