@@ -123,6 +123,18 @@ def test_a_joint_that_does_not_tell_a_turn_of_its_motor_never_runs_at_a_velocity
     assert simulations[-1].drives[3].drive.mode != Mode.VELOCITY
 
 
+@pytest.mark.parametrize("mode", ["pv", "vl"])
+def test_turns_per_minute_are_never_held_against_a_limit_per_second(run: Run, drives: list[DriveNode], mode: str) -> None:
+    """What 0x607F and 0x6080 allow is told in turns per minute; 40,000 of them are not "40000 per second"."""
+    outcome = run("drive", "5", "velocity", "40000", "--in", "rpm", "--mode", mode, "--seconds", "1", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "was not run at 40000" in outcome.err
+    assert "0x6080 of the drive allows 100; nothing was sent" in outcome.err
+    assert "per second" not in outcome.err
+    outcome = run("drive", "5", "velocity", "99", "--in", "rpm", "--mode", mode, "--seconds", "1", *DEMO)
+    assert outcome.status == 0, outcome.err
+
+
 def test_a_joint_without_a_mode_for_velocities_says_what_it_has(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "velocity", "500", "--mode", "pv", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT

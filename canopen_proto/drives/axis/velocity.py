@@ -154,7 +154,7 @@ class _Run:
         yield from self._learn_units()
         limits = yield from read_limits(axis)
         if abs(self._velocity) > limits.speed.value * _ALL:
-            failed = f"was not run at {self._velocity:g} per second"
+            failed = f"was not run at {self._velocity:g}"
             reason = f"{limits.speed.source} allows {limits.speed.value:g}; nothing was sent"
             remedy = "a lower velocity; max_speed (--max-speed, AxisSettings, the machine file), if it may go as fast as that"
             raise LimitReachedError(axis, failed, reason=reason, remedy=remedy, looks=False)
@@ -163,7 +163,7 @@ class _Run:
         if axis.scale.amount_from_counts(abs(self._number * self._unit)) > limits.speed.value * _ALL:
             self._number = math.trunc(exact)  # rounded up it would be beyond the limit
         if self._velocity and not self._number:
-            failed = f"cannot run at {self._velocity:g} per second: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
+            failed = f"cannot run at {self._velocity:g}: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
             raise DriveError(axis, failed, remedy="a higher velocity", looks=False)
         axis.node.encode(TARGET_OF[self._mode], self._number)
         if self._mode is Mode.VELOCITY:
@@ -206,7 +206,7 @@ class _Run:
         amount = abs(self._number * self._unit) / self._ramp_unit  # in the unit of the dimension factor
         if amount * _ALL < lowest or 0 < highest < amount / _ALL:
             ends = [axis.scale.amount_from_counts(each * self._ramp_unit) for each in (lowest, highest)]
-            failed = f"was not run at {self._velocity:g} per second"
+            failed = f"was not run at {self._velocity:g}"
             reason = f"it runs at {ends[0]:g} to {ends[1]:g} only (0x6046); nothing was sent"
             raise LimitReachedError(axis, failed, reason=reason, remedy="a velocity between them, or another 0x6046", looks=False)
 
@@ -249,7 +249,7 @@ class _Run:
         self._margin = yield from self._way_to_stop(abs(self._velocity) * axis.scale.counts_of_amount(1.0))
         if self._bound is not None and self._room(position, self._bound) <= self._margin:
             way = axis.scale.amount_from_counts(self._margin)
-            failed = f"was not run at {self._velocity:g} per second: it stands at {axis.scale.from_counts(position):g}"
+            failed = f"was not run at {self._velocity:g}: it stands at {axis.scale.from_counts(position):g}"
             reason = f"it needs {way:g} to stop before {self._bound.value:g} ({self._bound.source}); nothing was sent"
             raise LimitReachedError(axis, failed, reason=reason, remedy="the other direction, or a lower velocity", looks=False)
 
@@ -332,7 +332,7 @@ class _Run:
             if self.measured is None and watch.heard(key) is not None and isinstance(shown, int):
                 self.measured = axis.scale.way_from_counts(shown * unit)
         if not self._is_reached and (yield from current_time()) < end:
-            raise (yield from late(axis, f"did not reach {self._velocity:g} per second within {reach / SECOND:g} s"))
+            raise (yield from late(axis, f"did not reach {self._velocity:g} within {reach / SECOND:g} s"))
 
     @property
     def _shown(self) -> dict[Mux, float]:
