@@ -24,11 +24,13 @@ from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.simulation.drive.answers import Answer
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import Shape
 from canopen_transports import open_transport
 from tests.cli.cli_support import Alarm, Run, stands
+from tests.cli.command_examples import json_that_fits
 from tests.core.devices import io_device
 
 DEMO = ("-b", "demo")
@@ -61,6 +63,32 @@ def powered(drive: DriveNode) -> None:
 
 def of_another_maker(drive: DriveNode) -> None:
     drive.values.store[objects.VENDOR_ID] = 0x99
+
+
+def moving(drive: DriveNode) -> None:
+    """Another program moves it, by its own profile."""
+    powered(drive)
+    for index, data in ((0x6060, b"\x01"), (0x607A, (90_000).to_bytes(4, "little")), (0x6040, b"\x1f\x00")):
+        assert drive.write(index, 0, data, 0) is None
+
+
+def test_state_never_says_of_a_drive_that_moves_that_it_does_not(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = prepare(monkeypatch, moving)
+    outcome = run("drive", "3", "state", *DEMO)
+    assert made[-1].values.store[objects.POSITION_ACTUAL_VALUE] != 0
+    assert "does not move" not in outcome.out
+    assert re.search(r"^it moves +up: by \d+ counts while this command looked$", outcome.out, re.MULTILINE), outcome.out
+    assert json_that_fits("drive state", run("drive", "3", "state", "--json", *DEMO))["moves"] is True
+
+
+def test_state_tells_a_target_that_is_not_reached(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def blocked(drive: DriveNode) -> None:
+        moving(drive)
+        drive.answer(0x6064, 0, Answer(value=500))
+
+    prepare(monkeypatch, blocked)
+    outcome = run("drive", "3", "state", *DEMO)
+    assert "it stands         but has not reached its target (bit 10 is 0)" in outcome.out.splitlines()
 
 
 def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
