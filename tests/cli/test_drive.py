@@ -21,7 +21,7 @@ from canopen_master.simulation.serving import SimulatedDevices, simulated_drives
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
-from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.cia402.states import POWERED, State
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.simulation.drive.answers import Answer
@@ -295,12 +295,26 @@ def test_ctrl_c_halts_a_move(run: Run, simulations: list[SimulatedDevices], alar
     assert outcome.status == ExitCode.INTERRUPTED
     assert "the drive was halted: it is not at its target" in outcome.err
     assert stands(simulations[-1].drives[3])
+    has_power = simulations[-1].drives[3].drive.state in POWERED
+    assert ("it still has power: canopen drive disable 3 -b demo" in outcome.err) == has_power
+
+
+def test_ctrl_c_tells_that_a_drive_that_was_enabled_has_no_power(
+    run: Run, simulations: list[SimulatedDevices], alarm: Alarm
+) -> None:
+    alarm.set((0.5, signal.SIGINT))
+    outcome = run("drive", "3", "enable", *DEMO)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert simulations[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert "the drive has no power any more" in outcome.err
 
 
 def test_a_move_that_takes_too_long(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "move", "90000", "--limit", "200ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "did not reach its target position within 0.2 s" in outcome.err
+    assert simulations[-1].drives[3].drive.state is State.OPERATION_ENABLED
+    assert "it still has power: canopen drive disable 3 -b demo" in outcome.err
     assert stands(simulations[-1].drives[3])
 
 
