@@ -17,11 +17,12 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
 from canopen_master.simulation.host import simulate
-from canopen_master.simulation.serving import SimulatedDevices, simulated_drives
+from canopen_master.simulation.serving import DEMO_LOCATOR, SimulatedDevices, simulated_drives
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import POWERED, State
+from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.simulation.drive.answers import Answer
@@ -225,6 +226,38 @@ def test_move(run: Run, simulations: list[SimulatedDevices]) -> None:
     assert drive.values[objects.POSITION_ACTUAL_VALUE] == pytest.approx(2000, abs=WINDOW)
     document = run("drive", "3", "move", "--relative", "--json", *DEMO, "--", "-500").json
     assert document == {"from": -14000, "to": pytest.approx(-14500, abs=WINDOW), "unit": "counts", "state": "switch on disabled"}
+
+
+@pytest.mark.parametrize("command", ["move 10 --in degree", "home", "enable", "velocity 10 --mode vl"])
+def test_a_drive_that_another_program_holds_never_gets_a_halt_from_a_command_that_is_refused(
+    run: Run, monkeypatch: pytest.MonkeyPatch, alarm: Alarm, command: str
+) -> None:
+    made = prepare(monkeypatch, powered)
+    words: list[object] = []
+
+    async def beat() -> None:
+        async with await open_transport(DEMO_LOCATOR) as transport:
+            while True:
+                await transport.send(Frame(0x77F, b"\x05"))
+                words.append(made[-1].values.store[objects.CONTROLWORD] if made else 0x0F)
+                await trio.sleep(0.05)
+
+    @asynccontextmanager
+    async def held(*arguments: Any) -> AsyncIterator[SimulatedDevices]:
+        async with prepared(*arguments) as simulation, trio.open_nursery() as nursery:
+            nursery.start_soon(beat)
+            yield simulation
+            nursery.cancel_scope.cancel()
+
+    prepared = session.simulated_drives
+    monkeypatch.setattr(session, "simulated_drives", held)
+    verb, *rest = command.split()
+    outcome = run("drive", verb, "3", *rest, *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert set(words) == {0x0F}
+    assert outcome.err.count("another node 127 was heard") == 1
+    assert "--master-id" in outcome.err
+    assert "open_master" not in outcome.err
 
 
 def test_a_position_has_the_decimals_of_a_count(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

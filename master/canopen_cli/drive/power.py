@@ -51,7 +51,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def story(confirmed: bool) -> list[str]:
         return ["the drive has no power any more" if confirmed else "the drive was told to have no power any more"]
 
-    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds is not None))
+    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds is not None, enables=True))
 
 
 @click.command(cls=NumberCommand)
@@ -107,7 +107,7 @@ def move(settings: Settings, position: float, relative: bool, unit: str | None, 
         yield from procedures.shut_down(axis)
         return begin, end, 1 / axis.scale.amount_from_counts(1), (yield from look_at_drive(axis.node))
 
-    begin, end, counts, view = command_drive(settings, screen, procedure, story, scale)
+    begin, end, counts, view = command_drive(settings, screen, procedure, story, scale, enables=True)
     if settings.json:
         screen.json({"from": begin, "to": end, "unit": chosen, "state": str(view.state)})
         return

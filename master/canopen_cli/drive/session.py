@@ -97,16 +97,20 @@ def command_drive(
     scale: Scale | None = None,
     *,
     ends: bool = True,
+    enables: bool = False,
 ) -> T:
     """Run a procedure that commands the drive, or rehearse it (--dry-run).
 
-    scale: reads the counts in one unit; None: see `BusSession.axis_settings`. ends: it ends without a Ctrl-C.
+    scale: reads the counts in one unit; None: see `BusSession.axis_settings`. ends: it ends without a Ctrl-C. enables: it gives
+    power, so it is refused before the first frame that commands, if the drive could not watch over this program.
     """
 
     number = axis_of_command(settings)
 
     def whole(session: BusSession, node: Node) -> Procedure[T]:
         yield from ensure_answers(node)
+        if enables:
+            yield from session.master.watchdogs.check(node)
         chosen = session.axis_settings(node.node_id, number)
         if scale is not None:
             chosen = replace(chosen, counts_per_unit=(yield from scale(node_of_axis(node.remote, number))))

@@ -93,7 +93,7 @@ def velocity(
         measured = yield from ends_unpowered(axis, run)
         return (yield from look_at_drive(axis.node)), measured
 
-    view, measured = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None)
+    view, measured = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None, enables=True)
     last = told[-1]
     if settings.json:
         document = {"velocity": last.velocity, "unit": chosen, "mode": int(last.mode), "reached": last.is_reached}
