@@ -114,6 +114,12 @@ class Watchdogs:
             self._under_way.discard(node)
             self._tell(node, hold)
 
+    def check(self, node: Peer) -> Procedure[None]:
+        """Raise NodeIdTakenError if another node on this bus has the node-ID of our heartbeat. Nothing is sent."""
+        bus = self._participant.bus(node.bus)
+        if self.settings is not None and not self._heartbeats[bus].period:
+            yield from self._check_node_id(bus, self.settings)
+
     def hold_beside(self, node: Peer, axis: int = 0) -> None:
         """Take hold of a drive that may be enabled at any moment; a failure is logged."""
         is_needed = self.settings is not None and not self._participant.is_closed  # the halts write controlwords, too

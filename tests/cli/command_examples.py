@@ -186,7 +186,7 @@ OR_NULL: Final[dict[str, list[str]]] = {
         key: ["null", "number"]
         for key in ("counts_per_metre", "counts_per_motor_turn", "rated_torque", "load", "mean_load", "peak")
     },
-    **{key: ["null", "number"] for key in ("physical", "period", "largest_following_error", "negative", "positive")},
+    **{key: ["null", "number"] for key in ("physical", "period", "largest_following_error", "negative", "positive", "measured")},
     **{key: ["null", "string"] for key in ("hex", "other_client", "nmt_state", "state", "output", "bus_state", "remark", "file")},
     **{key: ["integer", "null", "number", "string"] for key in ("value", "configured", "high", "low")},
 }

@@ -17,18 +17,21 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
 from canopen_master.simulation.host import simulate
-from canopen_master.simulation.serving import SimulatedDevices, simulated_drives
+from canopen_master.simulation.serving import DEMO_LOCATOR, SimulatedDevices, simulated_drives
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
-from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.cia402.states import POWERED, State
+from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.simulation.drive.answers import Answer
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import Shape
 from canopen_transports import open_transport
 from tests.cli.cli_support import Alarm, Run, stands
+from tests.cli.command_examples import json_that_fits
 from tests.core.devices import io_device
 
 DEMO = ("-b", "demo")
@@ -61,6 +64,32 @@ def powered(drive: DriveNode) -> None:
 
 def of_another_maker(drive: DriveNode) -> None:
     drive.values.store[objects.VENDOR_ID] = 0x99
+
+
+def moving(drive: DriveNode) -> None:
+    """Another program moves it, by its own profile."""
+    powered(drive)
+    for index, data in ((0x6060, b"\x01"), (0x607A, (90_000).to_bytes(4, "little")), (0x6040, b"\x1f\x00")):
+        assert drive.write(index, 0, data, 0) is None
+
+
+def test_state_never_says_of_a_drive_that_moves_that_it_does_not(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = prepare(monkeypatch, moving)
+    outcome = run("drive", "3", "state", *DEMO)
+    assert made[-1].values.store[objects.POSITION_ACTUAL_VALUE] != 0
+    assert "does not move" not in outcome.out
+    assert re.search(r"^it moves +up: by \d+ counts while this command looked$", outcome.out, re.MULTILINE), outcome.out
+    assert json_that_fits("drive state", run("drive", "3", "state", "--json", *DEMO))["moves"] is True
+
+
+def test_state_tells_a_target_that_is_not_reached(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def blocked(drive: DriveNode) -> None:
+        moving(drive)
+        drive.answer(0x6064, 0, Answer(value=500))
+
+    prepare(monkeypatch, blocked)
+    outcome = run("drive", "3", "state", *DEMO)
+    assert "it stands         but has not reached its target (bit 10 is 0)" in outcome.out.splitlines()
 
 
 def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
@@ -199,6 +228,38 @@ def test_move(run: Run, simulations: list[SimulatedDevices]) -> None:
     assert document == {"from": -14000, "to": pytest.approx(-14500, abs=WINDOW), "unit": "counts", "state": "switch on disabled"}
 
 
+@pytest.mark.parametrize("command", ["move 10 --in degree", "home", "enable", "velocity 10 --mode vl"])
+def test_a_drive_that_another_program_holds_never_gets_a_halt_from_a_command_that_is_refused(
+    run: Run, monkeypatch: pytest.MonkeyPatch, alarm: Alarm, command: str
+) -> None:
+    made = prepare(monkeypatch, powered)
+    words: list[object] = []
+
+    async def beat() -> None:
+        async with await open_transport(DEMO_LOCATOR) as transport:
+            while True:
+                await transport.send(Frame(0x77F, b"\x05"))
+                words.append(made[-1].values.store[objects.CONTROLWORD] if made else 0x0F)
+                await trio.sleep(0.05)
+
+    @asynccontextmanager
+    async def held(*arguments: Any) -> AsyncIterator[SimulatedDevices]:
+        async with prepared(*arguments) as simulation, trio.open_nursery() as nursery:
+            nursery.start_soon(beat)
+            yield simulation
+            nursery.cancel_scope.cancel()
+
+    prepared = session.simulated_drives
+    monkeypatch.setattr(session, "simulated_drives", held)
+    verb, *rest = command.split()
+    outcome = run("drive", verb, "3", *rest, *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert set(words) == {0x0F}
+    assert outcome.err.count("another node 127 was heard") == 1
+    assert "--master-id" in outcome.err
+    assert "open_master" not in outcome.err
+
+
 def test_a_position_has_the_decimals_of_a_count(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """-14000 counts of 4096 in a turn are -1230.46875 degrees, and a count is 0.088: two decimals tell them apart."""
     prepare(monkeypatch, of_another_maker)
@@ -267,12 +328,26 @@ def test_ctrl_c_halts_a_move(run: Run, simulations: list[SimulatedDevices], alar
     assert outcome.status == ExitCode.INTERRUPTED
     assert "the drive was halted: it is not at its target" in outcome.err
     assert stands(simulations[-1].drives[3])
+    has_power = simulations[-1].drives[3].drive.state in POWERED
+    assert ("it still has power: canopen drive disable 3 -b demo" in outcome.err) == has_power
+
+
+def test_ctrl_c_tells_that_a_drive_that_was_enabled_has_no_power(
+    run: Run, simulations: list[SimulatedDevices], alarm: Alarm
+) -> None:
+    alarm.set((0.5, signal.SIGINT))
+    outcome = run("drive", "3", "enable", *DEMO)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert simulations[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert "the drive has no power any more" in outcome.err
 
 
 def test_a_move_that_takes_too_long(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "move", "90000", "--limit", "200ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "did not reach its target position within 0.2 s" in outcome.err
+    assert simulations[-1].drives[3].drive.state is State.OPERATION_ENABLED
+    assert "it still has power: canopen drive disable 3 -b demo" in outcome.err
     assert stands(simulations[-1].drives[3])
 
 

@@ -10,10 +10,13 @@ import trio
 
 from canopen_cli.shared.problem import ExitCode
 from canopen_master.simulation.serving import SimulatedDevices
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
+from canopen_proto.multiplexer import Mux
+from canopen_proto.simulation.drive.answers import Answer
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
@@ -47,7 +50,9 @@ def test_for_a_time_in_counts(run: Run, drives: list[DriveNode]) -> None:
     outcome = run("drive", "5", "velocity", "-2000", "--seconds", "3", *DEMO)
     assert outcome.status == 0, outcome.err
     assert "it runs at -2000 counts per second, in profile velocity (pv); for 3 s" in outcome.err
-    assert outcome.out.splitlines() == ["ran               at -2000 counts per second", "state             switch on disabled"]
+    told, ran, state = outcome.out.splitlines()
+    assert (told, state) == ("told              -2000 counts per second", "state             switch on disabled")
+    assert float(ran.split()[2]) == pytest.approx(-2_000, abs=20)
     assert position(drives[-1]) == pytest.approx(-6_000, abs=200)
     is_over(drives[-1])
 
@@ -62,6 +67,7 @@ def test_units(run: Run, drives: list[DriveNode], unit: str, counts: float, mode
     outcome = run("drive", "5", "velocity", str(value), "--in", unit, "--mode", mode, "--seconds", "3", "--json", *DEMO)
     document = json_that_fits("drive velocity", outcome)
     assert document["velocity"] == pytest.approx(value, rel=0.01)
+    assert document["measured"] == pytest.approx(value, rel=0.02)
     assert (document["mode"], document["state"]) == ({"pv": 3, "vl": 2}[mode], "switch on disabled")
     assert document["reached"] is True
     assert position(drives[-1]) == pytest.approx(6_000, abs=300)
@@ -104,18 +110,70 @@ def test_a_velocity_beyond_the_limit(run: Run, drives: list[DriveNode]) -> None:
     assert drives[-1].drive.mode == Mode.NO_MODE
 
 
-def test_the_joints_of_the_demonstration_count_turns_of_their_motor(run: Run, simulations: list[SimulatedDevices]) -> None:
-    outcome = run("drive", "3", "velocity", "500", "--seconds", "1", *DEMO)
+@pytest.mark.parametrize("unit", ["rpm", "degree", "turn"])
+def test_a_joint_that_does_not_tell_a_turn_of_its_motor_never_runs_at_a_velocity_that_nobody_knows(
+    run: Run, simulations: list[SimulatedDevices], unit: str
+) -> None:
+    """It took "500 rpm" as 500 counts per second, 0.08 turns a minute, and compared 500 with a limit in counts per second."""
+    outcome = run("drive", "3", "velocity", "500", "--in", unit, "--seconds", "1", *DEMO)
     assert outcome.status == ExitCode.USAGE
-    assert "does not tell how many counts a turn of its motor has" in outcome.err
-    assert "--in rpm" in outcome.err
-    outcome = run("drive", "3", "velocity", "500", "--in", "rpm", "--seconds", "20", *DEMO)
+    assert "does not tell how many counts a turn of its motor has (0x608F)" in outcome.err
+    assert "counts_per_motor_turn" in outcome.err
+    assert "--in rpm" not in outcome.err
+    assert simulations[-1].drives[3].drive.mode != Mode.VELOCITY
+
+
+@pytest.mark.parametrize("mode", ["pv", "vl"])
+def test_turns_per_minute_are_never_held_against_a_limit_per_second(run: Run, drives: list[DriveNode], mode: str) -> None:
+    """What 0x607F and 0x6080 allow is told in turns per minute; 40,000 of them are not "40000 per second"."""
+    outcome = run("drive", "5", "velocity", "40000", "--in", "rpm", "--mode", mode, "--seconds", "1", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "was not run at 40000" in outcome.err
+    assert "0x6080 of the drive allows 100; nothing was sent" in outcome.err
+    assert "per second" not in outcome.err
+    outcome = run("drive", "5", "velocity", "99", "--in", "rpm", "--mode", mode, "--seconds", "1", *DEMO)
     assert outcome.status == 0, outcome.err
-    assert "ran               at 500 rpm" in outcome.out.splitlines()
+
+
+def test_a_joint_without_a_mode_for_velocities_says_what_it_has(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "velocity", "500", "--mode", "pv", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "CO405" in outcome.err
     assert "it has profile position (pp), velocity (vl), interpolated position (ip)" in outcome.err
+
+
+def converter(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, limits: dict[int, int]) -> list[DriveNode]:
+    """Drive 5 is a frequency converter: it has no position, and counts turns of its motor."""
+    absent = Answer(abort=AbortCode.NO_SUCH_OBJECT)
+    answers = {Mux(index << 8): absent for index in (0x6064, 0x606C, 0x6080)}
+    answers[Mux(0x6502 << 8)] = Answer(value=1 << Mode.VELOCITY - 1)
+    answers |= {Mux(index << 8): Answer(value=value) for index, value in limits.items()}
+    return only_drive(
+        monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, DriveSettings(answers=tuple(answers.items())))
+    )
+
+
+def test_a_frequency_converter_runs_in_rpm_within_a_limit_in_rpm(run: Run, monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> None:
+    made = converter(monkeypatch, alarm, {0x6080: 1_500})
+    outcome = run("drive", "5", "velocity", "1600", "--in", "rpm", "--seconds", "1", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "allows 1500; nothing was sent" in outcome.err
+    outcome = run("drive", "5", "velocity", "1400", "--in", "rpm", "--seconds", "1", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "ran               at 1400 rpm, as it shows" in outcome.out.splitlines()
+    assert made[-1].drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_frequency_converter_without_a_limit_in_rpm_never_runs_by_a_limit_in_counts(
+    run: Run, monkeypatch: pytest.MonkeyPatch, alarm: Alarm
+) -> None:
+    made = converter(monkeypatch, alarm, {})
+    outcome = run("drive", "5", "velocity", "500", "--in", "rpm", "--seconds", "1", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "--max-speed" in outcome.err
+    assert made[-1].drive.mode == Mode.NO_MODE
+    outcome = run("drive", "5", "velocity", "500", "--in", "rpm", "--max-speed", "600", "--seconds", "1", *DEMO)
+    assert outcome.status == 0, outcome.err
 
 
 def test_a_rehearsal_shows_the_frames_and_sends_none(run: Run, drives: list[DriveNode]) -> None:

@@ -13,7 +13,8 @@ from canopen_proto.drives.axis.axis import Axis, AxisSettings, AxisStateChanged
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
-from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, StepTimeoutError
@@ -400,6 +401,27 @@ def test_a_failing_halt_is_noted_at_its_cause() -> None:
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureFailed)
     assert any("the halt of drive 5 failed" in note for note in ended.error.__notes__)
+
+
+def test_a_halt_that_the_drive_has_is_never_called_failed_for_want_of_its_answer() -> None:
+    """Another SDO client took the answers: the drive had its halt bit, and power, and neither was said."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis = Axis(rig.remote, AxisSettings(homing_method=17, homing_timeout=400 * MILLISECOND))
+    request = rig.master.run(drive.home(rig.axis), rig.bus.now)
+    rig.bus.run(200 * MILLISECOND)
+    deliver = rig.bus._deliver
+
+    def deliver_without(receiver: Outbox, frame: Frame) -> None:
+        if frame.data[:4] != b"\x60\x40\x60\x00":
+            deliver(receiver, frame)
+
+    rig.bus._deliver = deliver_without  # type: ignore[method-assign]
+    ended = rig.outcome(request)
+    assert isinstance(ended, ProcedureFailed)
+    (note,) = ended.error.__notes__
+    assert note == (
+        "and drive 5 has its halt bit (controlword 0x011F), which it did not confirm; it still has power (operation enabled)"
+    )
 
 
 # ---- cancelled at every step ----

@@ -278,7 +278,7 @@ def test_a_drive_that_does_not_get_fast_enough_is_halted() -> None:
     rig = rig_with()
     rig.node.values.store[objects.FOLLOWING_ERROR_WINDOW] = 2**32 - 1
     rig.node.block(True, rig.bus.now)
-    with pytest.raises(drive.DriveTimeoutError, match=r"did not reach 10 per second within 4\.1 s"):
+    with pytest.raises(drive.DriveTimeoutError, match=r"did not reach 10 within 4\.1 s"):
         rig.run(drive.run_at(rig.axis, 10.0))
 
 
@@ -393,3 +393,12 @@ def test_a_duration_below_0_is_refused() -> None:
     rig = rig_with()
     with pytest.raises(LocalProtocolError, match="duration must"):
         rig.run(drive.run_at(rig.axis, 10.0, duration=-1))
+
+
+def test_the_speed_of_the_motor_is_a_limit_by_the_settings_too() -> None:
+    """0x6080 is in turns per minute: a drive that does not tell what a turn is keeps it, as its settings tell."""
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=0))
+    rig.axis.settings = replace(DEGREES, counts_per_motor_turn=60_000.0)
+    rig.drive.values.store[objects.MAX_MOTOR_SPEED] = 5
+    with pytest.raises(drive.LimitReachedError, match="0x6080 of the drive allows 5; nothing was sent"):
+        rig.run(drive.run_at(rig.axis, 6.0, mode=Mode.VELOCITY, duration=SECOND))

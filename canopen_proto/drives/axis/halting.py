@@ -17,6 +17,7 @@ from canopen_proto.drives.axis.axis import Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
 from canopen_proto.drives.axis.exclusive_motion import stops
 from canopen_proto.drives.axis.failures import TakenOverError, as_drive_errors, name_of
+from canopen_proto.drives.axis.units import read_number
 from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -214,7 +215,24 @@ def halt_after(axis: Axis, cause: BaseException, forget: Callable[[], Procedure[
     except ProcedureError as error:
         if isinstance(cause, Cancelled):
             raise
-        cause.add_note(f"and the halt of {name_of(axis)} failed: {error}")
+        cause.add_note((yield from _account(axis, error)))
+
+
+def _account(axis: Axis, error: ProcedureError) -> Procedure[str]:
+    """Return what is to be said of a halt that failed: whether the drive has its halt bit all the same, and power."""
+    failed = f"and the halt of {name_of(axis)} failed: {error}"
+    try:
+        word = yield from read_number(axis.node, objects.CONTROLWORD)
+        statusword = yield from read_number(axis.node, objects.STATUSWORD)
+    except ProcedureError:
+        return failed  # it is silent: nothing is known
+    if statusword is None:
+        return failed
+    state = state_of(statusword)
+    power = f"{'it still has power' if state in POWERED else 'it has no power'} ({state})"
+    if isinstance(error, SdoTransferError) and word is not None and word & ControlBit.HALT:
+        return f"and {name_of(axis)} has its halt bit (controlword 0x{word:04X}), which it did not confirm; {power}"
+    return f"{failed}; {power}"
 
 
 def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Procedure[None]:

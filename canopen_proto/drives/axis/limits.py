@@ -239,8 +239,9 @@ def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure
     speeds = []
     if profile is not None and per_velocity is not None:
         speeds.append(Limit(profile * per_velocity, f"0x607F {_OF_DRIVE}"))
-    if motor is not None and units.per_motor_turn is not None:
-        speeds.append(Limit(motor * units.per_motor_turn / 60, f"0x6080 {_OF_DRIVE}"))
+    turn = units.per_motor_turn or axis.settings.counts_per_motor_turn
+    if motor is not None and turn is not None:
+        speeds.append(Limit(motor * turn / 60, f"0x6080 {_OF_DRIVE}"))
     per_acceleration = axis.settings.acceleration_unit
     if per_acceleration is None:
         per_acceleration = units.acceleration_unit(per_velocity)

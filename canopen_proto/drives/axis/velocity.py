@@ -82,8 +82,11 @@ def run_at(
     acceleration: float | None = None,
     deceleration: float | None = None,
     news: Callable[[Running], object] | None = None,
-) -> Procedure[None]:
+) -> Procedure[float | None]:
     """Run at a velocity, in the user's unit per second, for `duration` ns (None: until this is cancelled); then halt.
+
+    Returns the velocity that the drive showed last before its halt (0x606C; in vl 0x6044 before it), in the user's unit per
+    second; None: it shows none, or in a unit that is not known.
 
     mode: pv or vl; None: pv, else vl, whichever the drive has. acceleration, deceleration: per second², rounded down to the
     drive's unit; None: the drive's own. news: called when the drive has its command, and when it shows the velocity.
@@ -105,6 +108,7 @@ def run_at(
         yield from halt_after(axis, cause, run.forget)
         raise
     yield from halt_and_forget(axis, run.forget)
+    return run.measured
 
 
 class _Run:
@@ -132,6 +136,7 @@ class _Run:
         self._first: int | None = None
         self._side = 1 if velocity * axis.settings.direction >= 0 else -1
         self._margin = 0.0
+        self.measured: float | None = None
         self._is_reached = False
         self._began: Time = 0
         self._looked: tuple[Time, int] | None = None
@@ -149,7 +154,7 @@ class _Run:
         yield from self._learn_units()
         limits = yield from read_limits(axis)
         if abs(self._velocity) > limits.speed.value * _ALL:
-            failed = f"was not run at {self._velocity:g} per second"
+            failed = f"was not run at {self._velocity:g}"
             reason = f"{limits.speed.source} allows {limits.speed.value:g}; nothing was sent"
             remedy = "a lower velocity; max_speed (--max-speed, AxisSettings, the machine file), if it may go as fast as that"
             raise LimitReachedError(axis, failed, reason=reason, remedy=remedy, looks=False)
@@ -158,7 +163,7 @@ class _Run:
         if axis.scale.amount_from_counts(abs(self._number * self._unit)) > limits.speed.value * _ALL:
             self._number = math.trunc(exact)  # rounded up it would be beyond the limit
         if self._velocity and not self._number:
-            failed = f"cannot run at {self._velocity:g} per second: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
+            failed = f"cannot run at {self._velocity:g}: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
             raise DriveError(axis, failed, remedy="a higher velocity", looks=False)
         axis.node.encode(TARGET_OF[self._mode], self._number)
         if self._mode is Mode.VELOCITY:
@@ -201,7 +206,7 @@ class _Run:
         amount = abs(self._number * self._unit) / self._ramp_unit  # in the unit of the dimension factor
         if amount * _ALL < lowest or 0 < highest < amount / _ALL:
             ends = [axis.scale.amount_from_counts(each * self._ramp_unit) for each in (lowest, highest)]
-            failed = f"was not run at {self._velocity:g} per second"
+            failed = f"was not run at {self._velocity:g}"
             reason = f"it runs at {ends[0]:g} to {ends[1]:g} only (0x6046); nothing was sent"
             raise LimitReachedError(axis, failed, reason=reason, remedy="a velocity between them, or another 0x6046", looks=False)
 
@@ -244,7 +249,7 @@ class _Run:
         self._margin = yield from self._way_to_stop(abs(self._velocity) * axis.scale.counts_of_amount(1.0))
         if self._bound is not None and self._room(position, self._bound) <= self._margin:
             way = axis.scale.amount_from_counts(self._margin)
-            failed = f"was not run at {self._velocity:g} per second: it stands at {axis.scale.from_counts(position):g}"
+            failed = f"was not run at {self._velocity:g}: it stands at {axis.scale.from_counts(position):g}"
             reason = f"it needs {way:g} to stop before {self._bound.value:g} ({self._bound.source}); nothing was sent"
             raise LimitReachedError(axis, failed, reason=reason, remedy="the other direction, or a lower velocity", looks=False)
 
@@ -302,6 +307,7 @@ class _Run:
         axis = self._axis
         reads = {
             objects.POSITION_ACTUAL_VALUE: POLL_INTERVAL if self._is_bounded else FRESH,
+            **dict.fromkeys(self._shown, FRESH),
             objects.VL_VELOCITY_DEMAND: FRESH,
         }
         if self._mode is not Mode.VELOCITY:
@@ -321,8 +327,19 @@ class _Run:
             return True if is_over else None
 
         yield from watch.until(judge, NEVER)
+        for key, unit in self._shown.items():
+            shown = axis.node.values.store.get(key)
+            if self.measured is None and watch.heard(key) is not None and isinstance(shown, int):
+                self.measured = axis.scale.way_from_counts(shown * unit)
         if not self._is_reached and (yield from current_time()) < end:
-            raise (yield from late(axis, f"did not reach {self._velocity:g} per second within {reach / SECOND:g} s"))
+            raise (yield from late(axis, f"did not reach {self._velocity:g} within {reach / SECOND:g} s"))
+
+    @property
+    def _shown(self) -> dict[Mux, float]:
+        """The objects in which the drive may show its velocity, the best first, and the counts per second in one unit of each."""
+        unit = self._axis.scale.velocity_unit
+        shown = {objects.VL_VELOCITY_ACTUAL_VALUE: self._unit} if self._mode is Mode.VELOCITY else {}
+        return shown if unit is None else {**shown, objects.VELOCITY_ACTUAL_VALUE: unit}
 
     def _time_to_reach(self) -> Procedure[Time]:
         """Return how long the drive may take to reach its velocity: its ramp, and `reaction_time` and `state_timeout` more."""

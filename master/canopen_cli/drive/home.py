@@ -257,6 +257,7 @@ def _home(session: BusSession, axes: dict[int, Axis], node_id: int, homing: Homi
     style, method, limit, reset_fault = homing
     node = session.node(node_id, number)
     yield from ensure_answers(node)
+    yield from session.master.watchdogs.check(node)
     settings = session.axis_settings(node_id, number)
     settings = replace(
         settings,

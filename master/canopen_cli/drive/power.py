@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from canopen_cli.drive.session import command_drive, show_drive, unit_of_command
+from canopen_cli.drive.session import command_drive, node_of_command, show_drive, unit_of_command
 from canopen_cli.shared.numbers import NumberCommand, UnitName, position_text
 from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, lasting
-from canopen_cli.shared.problem import usage
+from canopen_cli.shared.problem import usage, with_bus
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -16,9 +16,9 @@ from canopen_proto.drives.axis.units import COUNTS, Unit
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.drives.axis.watching import DriveWait
 from canopen_proto.drives.cia402.modes import mode_name
-from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.cia402.states import POWERED, State
 from canopen_proto.machine import NEVER, SECOND, Time
-from canopen_proto.procedures.steps import Procedure, current_time
+from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time
 
 
 @click.command()
@@ -48,7 +48,10 @@ def enable(settings: Settings, seconds: float | None) -> None:
         yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
         screen.say(f"{seconds:g} s are over: it gets no more power")
 
-    show_drive(settings, screen, command_drive(settings, screen, procedure, ends=seconds is not None))
+    def story(confirmed: bool) -> list[str]:
+        return ["the drive has no power any more" if confirmed else "the drive was told to have no power any more"]
+
+    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds is not None, enables=True))
 
 
 @click.command(cls=NumberCommand)
@@ -80,22 +83,34 @@ def move(settings: Settings, position: float, relative: bool, unit: str | None, 
     if chosen == COUNTS and not position.is_integer():
         raise usage("CO120", f"a position in counts is a whole number; it is {position!r}", tries=("a whole number, or --in",))
 
+    moving: list[Axis] = []
+
+    def story(confirmed: bool) -> list[str]:
+        told = f"the drive was {'halted' if confirmed else 'told to halt'}: it is not at its target"
+        return [told, *power_of(moving)]
+
+    def power_of(axes: list[Axis]) -> list[str]:
+        disable = with_bus(f"canopen drive disable {node_of_command()}", *settings.typed_bus())
+        return [f"it still has power: {disable}" for axis in axes if axis.state in POWERED]
+
     def procedure(axis: Axis) -> Procedure[tuple[float, float, float, DriveView]]:
         yield from identify(axis)
         begin = yield from procedures.read_position(axis)
-        yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
+        try:
+            moving.append(axis)
+            yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
+        except ProcedureError as error:
+            for words in power_of(moving):
+                error.add_note(words)
+            raise
         end = yield from procedures.read_position(axis)
         yield from procedures.shut_down(axis)
         return begin, end, 1 / axis.scale.amount_from_counts(1), (yield from look_at_drive(axis.node))
 
-    begin, end, counts, view = command_drive(settings, screen, procedure, _moved, scale)
+    begin, end, counts, view = command_drive(settings, screen, procedure, story, scale, enables=True)
     if settings.json:
         screen.json({"from": begin, "to": end, "unit": chosen, "state": str(view.state)})
         return
     name = chosen if chosen == COUNTS else f"{chosen}s"
     screen.fact("moved", f"from {position_text(begin, counts)} to {position_text(end, counts)} {name}")
     screen.fact("state", str(view.state))
-
-
-def _moved(confirmed: bool) -> list[str]:
-    return [f"the drive was {'halted' if confirmed else 'told to halt'}: it is not at its target"]

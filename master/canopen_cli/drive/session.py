@@ -25,7 +25,8 @@ from canopen_proto.drives.axis.reasons import reasons
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import COUNTS, Unit, read_units
 from canopen_proto.drives.axis.view import DriveView
-from canopen_proto.drives.cia402.modes import describe_status, mode_name
+from canopen_proto.drives.cia402.modes import Mode, describe_status, mode_name
+from canopen_proto.drives.cia402.states import State, StatusBit
 from canopen_proto.procedures.steps import Procedure
 
 T = TypeVar("T")
@@ -96,16 +97,20 @@ def command_drive(
     scale: Scale | None = None,
     *,
     ends: bool = True,
+    enables: bool = False,
 ) -> T:
     """Run a procedure that commands the drive, or rehearse it (--dry-run).
 
-    scale: reads the counts in one unit; None: see `BusSession.axis_settings`. ends: it ends without a Ctrl-C.
+    scale: reads the counts in one unit; None: see `BusSession.axis_settings`. ends: it ends without a Ctrl-C. enables: it gives
+    power, so it is refused before the first frame that commands, if the drive could not watch over this program.
     """
 
     number = axis_of_command(settings)
 
     def whole(session: BusSession, node: Node) -> Procedure[T]:
         yield from ensure_answers(node)
+        if enables:
+            yield from session.master.watchdogs.check(node)
         chosen = session.axis_settings(node.node_id, number)
         if scale is not None:
             chosen = replace(chosen, counts_per_unit=(yield from scale(node_of_axis(node.remote, number))))
@@ -143,10 +148,17 @@ def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> No
     show_drive(settings, screen, command_drive(settings, screen, procedure))
 
 
-def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tuple[float, str, float] | None = None) -> None:
+def show_drive(
+    settings: Settings,
+    screen: Screen,
+    view: DriveView,
+    position: tuple[float, str, float] | None = None,
+    moved: int | None = None,
+) -> None:
     """Show what a drive shows, and what keeps it from moving.
 
-    position: with its unit, and the counts in one, if a machine file tells the unit.
+    position: with its unit, and the counts in one, if a machine file tells the unit. moved: the counts by which it moved
+    meanwhile; None: nobody looked.
     """
     found = reasons(view)
     if settings.json:
@@ -159,6 +171,7 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tu
                 "wanted_mode": view.wanted_mode,
                 "error_code": view.error_code,
                 "position": view.position,
+                **({} if moved is None else {"moves": moved != 0}),
                 **({} if position is None else {"position_in_unit": position[0], "unit": position[1]}),
                 "nmt_state": None if view.nmt_state is None else view.nmt_state.name,
                 "obstacles": [{"what": each.what, "remedy": each.remedy} for each in found],
@@ -176,10 +189,22 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tu
         screen.fact(
             "position", counts if position is None else f"{position_text(position[0], position[2])} {position[1]}  ({counts})"
         )
-    if not found:
+    if moved:
+        screen.fact("it moves", f"{'up' if moved > 0 else 'down'}: by {counted(abs(moved), 'count')} while this command looked")
+    elif not found and _is_on_its_way(view):
+        screen.fact("it stands", "but has not reached its target (bit 10 is 0)")
+    elif not found:
         screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
     for number, (what, remedy, _) in enumerate(found):
-        screen.fact("" if number else "it does not move", f"{what}. Try: {_with_command(settings, remedy)}")
+        screen.fact(
+            "" if number else "in the way" if moved else "it does not move", f"{what}. Try: {_with_command(settings, remedy)}"
+        )
+
+
+def _is_on_its_way(view: DriveView) -> bool:
+    """Return whether a drive has a target, and does not show that it is there."""
+    has_target = view.state is State.OPERATION_ENABLED and view.mode in (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY)
+    return has_target and not view.statusword & StatusBit.TARGET_REACHED
 
 
 def _with_command(settings: Settings, remedy: str) -> str:

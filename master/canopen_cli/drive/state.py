@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -26,11 +26,16 @@ from canopen_master.motion.single_drive import look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.units import COUNTS, DriveUnits, Unit, read_units
+from canopen_proto.drives.axis.units import COUNTS, DriveUnits, Unit, read_number, read_units
 from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, mode_name, supported_modes
 from canopen_proto.drives.cia402.states import POWERED
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.procedures.steps import Procedure, sleep
+
+_LOOK: Final = 50 * MILLISECOND
+"""Between two positions that show whether a drive moves."""
 
 
 @click.command()
@@ -45,19 +50,32 @@ def state(settings: Settings) -> None:
     unit, _ = unit_of_command(settings, None)
     axis_settings = joint_settings(settings)
 
-    def look(node: AxisNode) -> Procedure[tuple[DriveView, tuple[float, str, float] | None]]:
+    def look(node: AxisNode) -> Procedure[tuple[DriveView, int, tuple[float, str, float] | None]]:
         view = yield from look_at_drive(node, axis_settings)
+        moved = yield from _moved(node, view)
         counts = axis_settings.counts_per_unit
         if unit == COUNTS or view.position is None:
-            return view, None
+            return view, moved, None
         if counts is None and axis_settings.unit is not None:
             counts = (yield from read_units(node)).counts_per(axis_settings.unit)
         if counts is None:
-            return view, None
-        return view, (axis_settings.direction * (view.position - axis_settings.offset) / counts, unit, counts)
+            return view, moved, None
+        return view, moved, (axis_settings.direction * (view.position - axis_settings.offset) / counts, unit, counts)
 
-    view, position = read_drive(settings, screen, look)
-    show_drive(settings, screen, view, position)
+    view, moved, position = read_drive(settings, screen, look)
+    show_drive(settings, screen, view, position, moved)
+
+
+def _moved(node: AxisNode, view: DriveView) -> Procedure[int]:
+    """Return by how many counts the drive moves in _LOOK; 0 if it stands, by its velocity (0x606C) too, or shows no position."""
+    if view.position is None:
+        return 0
+    before = yield from read_number(node, objects.POSITION_ACTUAL_VALUE, signed=True)
+    yield from sleep(_LOOK)
+    after = yield from read_number(node, objects.POSITION_ACTUAL_VALUE, signed=True)
+    way = 0 if before is None or after is None else after - before
+    stands = abs(way) <= 1 or (yield from read_number(node, objects.VELOCITY_ACTUAL_VALUE, signed=True)) == 0
+    return 0 if stands else way
 
 
 @click.command("fault-reset")

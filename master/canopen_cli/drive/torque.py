@@ -79,7 +79,7 @@ def torque(
         given = yield from ends_unpowered(axis, applied)
         return given, None if rated is None else given * rated, (yield from look_at_drive(axis.node))
 
-    given, newton_metres, view = command_drive(settings, screen, procedure, _ended)
+    given, newton_metres, view = command_drive(settings, screen, procedure, _ended, enables=True)
     if settings.json:
         screen.json({"per_mille": given * 1000, "newton_metre": newton_metres, "seconds": seconds, "state": str(view.state)})
         return

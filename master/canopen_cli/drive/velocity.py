@@ -14,8 +14,10 @@ from canopen_cli.shared.problem import usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.units import COUNTS, Unit
+from canopen_proto.drives.axis.axis_node import AxisNode
+from canopen_proto.drives.axis.units import COUNTS, Unit, read_number
 from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, mode_name
 from canopen_proto.machine import SECOND
 from canopen_proto.procedures.steps import Procedure
@@ -58,7 +60,7 @@ def velocity(
     in the unit, and within the limits, that stand there.
 
     \b
-    canopen drive velocity 3 500 --for 2s -b demo
+    canopen drive velocity 5 500 --for 2s -b can0
     """
     screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
@@ -72,10 +74,10 @@ def velocity(
         end = "Ctrl-C stops it" if seconds is None else f"for {seconds:g} s"
         screen.say(f"it runs at {_named(running.velocity, chosen)}{rounded}, in {mode_name(running.mode)}; {end}")
 
-    def procedure(axis: Axis) -> Procedure[DriveView]:
+    def procedure(axis: Axis) -> Procedure[tuple[DriveView, float | None]]:
         yield from procedures.identify(axis)
         mode = yield from procedures.choose_velocity_mode(axis, None if mode_name_ is None else _MODES[mode_name_])
-        yield from _set_scale(axis, chosen, mode)
+        yield from _set_scale(axis, chosen, mode, max_speed)
         if max_speed is not None:  # the limit of a joint in the machine file stays
             limit = axis.settings.max_speed
             axis.settings = replace(axis.settings, max_speed=max_speed if limit is None else min(max_speed, limit))
@@ -88,17 +90,18 @@ def velocity(
             deceleration=deceleration,
             news=tell,
         )
-        yield from ends_unpowered(axis, run)
-        return (yield from look_at_drive(axis.node))
+        measured = yield from ends_unpowered(axis, run)
+        return (yield from look_at_drive(axis.node)), measured
 
-    view = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None)
+    view, measured = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None, enables=True)
     last = told[-1]
     if settings.json:
         document = {"velocity": last.velocity, "unit": chosen, "mode": int(last.mode), "reached": last.is_reached}
-        screen.json({**document, "state": str(view.state)})
+        screen.json({**document, "measured": measured, "state": str(view.state)})
         return
+    screen.fact("told", _named(last.velocity, chosen) + ("" if last.is_reached else ", which it did not show in that time"))
     screen.fact(
-        "ran", f"at {_named(last.velocity, chosen)}" + ("" if last.is_reached else ", which it did not show in that time")
+        "ran", "it shows no velocity" if measured is None else f"at {_named(float(f'{measured:.6g}'), chosen)}, as it shows"
     )
     screen.fact("state", str(view.state))
 
@@ -109,7 +112,7 @@ def _named(value: float, unit: str) -> str:
     return f"{value:.10g} {unit if unit == COUNTS else f'{unit}s'} per second"
 
 
-def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
+def _set_scale(axis: Axis, unit: str, mode: Mode, max_speed: float | None) -> Procedure[None]:
     """Make turns of the motor per minute the unit of the axis, if that of the command or the drive needs them.
 
     Raises a CommandError if the drive does not tell what a turn is.
@@ -118,17 +121,33 @@ def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
         return
     turn = (yield from procedures.learn_units(axis)).per_motor_turn
     turn = axis.settings.counts_per_motor_turn or turn
-    if turn is None and unit == RPM and mode is Mode.VELOCITY:  # it counts turns itself, however many counts they are
-        axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0)
+    node_id = axis.node.node_id
+    if turn is None and unit == RPM and mode is Mode.VELOCITY and not (yield from _counts(axis.node)):
+        told = yield from read_number(axis.node, objects.MAX_MOTOR_SPEED)
+        limits = [each for each in (max_speed, told) if each]
+        if not limits:  # a limit in counts says nothing here
+            raise usage(
+                "CO321",
+                f"drive {node_id} does not tell how fast its motor may turn (0x6080)",
+                tries=("--max-speed RPM, by its manual",),
+            )
+        axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0, max_speed=min(limits))
     elif turn is None:
-        node_id = axis.node.node_id
         raise usage(
             "CO321",
-            f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F)",
-            tries=(f"canopen drive units {node_id}    what it tells", f"--in {RPM if mode is Mode.VELOCITY else COUNTS}"),
+            f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F), in which it takes its velocity",
+            tries=(
+                f"canopen drive units {node_id}    what it tells",
+                "counts_per_motor_turn of its joint in a machine file (-m), by its manual",
+            ),
         )
     elif unit == RPM:
         axis.settings = replace(axis.settings, counts_per_unit=turn / 60)
+
+
+def _counts(node: AxisNode) -> Procedure[bool]:
+    """Return whether the drive has positions: then its limits are in counts. A frequency converter only turns its motor."""
+    return (yield from read_number(node, objects.POSITION_ACTUAL_VALUE, signed=True)) is not None
 
 
 def _ended(confirmed: bool) -> list[str]:

@@ -216,6 +216,7 @@ _SETTING = re.compile(
     r"(?P<what>Axis|Chain)Settings(?:\((?P<key>[\w.]+)(?:=(?P<value>[^()]*))?\)|\.(?P<name>\w+))(?: in `axes`)?"
 )
 _OF_PYTHON = {
+    " or open_master(..., watchdog=Watchdog(node_id=...))": "",
     "; `set_max_speed` of `direct`": "",
     "180_000 / math.pi for millidegrees on the wire": "or its unit",
     "math.inf": "inf",
