@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
+LEAST_SPAN: Final = SECOND
+"""From the first frame to the last, in ns: a few frames in less time come at once, and say nothing about a second."""
 MAX_LINES: Final = 10_000
 """Findings that wait for the end of the story. Further ones are counted only."""
 
@@ -162,31 +164,39 @@ def replay(
 def stats(settings: Settings, source: Path, bitrate: str, since: When | None, until: When | None) -> None:
     """Count the frames of a file: number, rate and bus load of each CAN-ID.
 
+    Rates are those of the part that --since and --until name; else from the first frame to the last, if that is a second.
+
     \b
     canopen log stats trace.log
     canopen log stats trace.log --bitrate 1M --since 10s --until 20s
     """
     screen = settings.screen()
     rate = rate_of(bitrate)
-    reader, observer = reader_of(source), Observer()
+    reader, observer, window = reader_of(source), Observer(), Window(since, until)
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
     first = last = None
-    for record in watched(screen, reader, records_in(reader, Window(since, until))):
+    for record in watched(screen, reader, frames_of(reader)):
         frame = record.frame
         first = record.time if first is None else first
         last = max(record.time, first if last is None else last)
+        if not window.has(record.time, first):
+            continue
         frames[frame.key] += 1
         bits[frame.key] += frame_bits(frame)
         if frame.key not in what:
             meaning = observer.observe(frame, record.time).meaning
             service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first one is the boot-up
             what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
-    seconds = 0.0 if first is None or last is None else (last - first) / SECOND
-    rows = [(*what[key], frames[key], _per(frames[key], seconds), _per(bits[key] / rate * 100, seconds)) for key in sorted(what)]
+    window.require(reader.path)
+    span, is_known = (0, False) if first is None or last is None else window.span(first, last)
+    seconds = span / SECOND
+    if not is_known and span < LEAST_SPAN:
+        span = 0
+    rows = [(*what[key], frames[key], _per(frames[key], span), _per(bits[key] / rate * 100, span)) for key in sorted(what)]
     total = sum(frames.values())
-    load = _per(sum(bits.values()) / rate * 100, seconds)
+    load = _per(sum(bits.values()) / rate * 100, span)
     if settings.json:
         names = ("can_id", "service", "node", "frames", "per_second", "load_percent")
         ids = [dict(zip(names, row, strict=True)) for row in rows]
@@ -200,10 +210,8 @@ def stats(settings: Settings, source: Path, bitrate: str, since: When | None, un
         for name, service, node, count, each, share in rows
     ]
     screen.table(columns, texts, right=columns[2:])
-    per_second = _text(_per(total, seconds))
-    screen.data(
-        f"{counted(total, 'frame')} in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}"
-    )
+    rates = f"{_text(_per(total, span))} a second, load {_text(load)} % at {bitrate_text(rate)}"
+    screen.data(f"{counted(total, 'frame')} in {seconds:.6g} s, {rates if span else 'too short for a rate'}")
     tell_skipped(screen, reader)
 
 
@@ -395,9 +403,10 @@ def _summed(counts: Iterable[dict[str, int]]) -> Counter[str]:
     return total
 
 
-def _per(count: float, seconds: float) -> float:
-    return count / seconds if seconds else 0.0
+def _per(count: float, span: int) -> float | None:
+    """Return how many come in a second; None if the span is not known, or is too short to tell. span: ns."""
+    return count * SECOND / span if span else None
 
 
-def _text(number: float) -> str:
-    return f"{number:.3g}"
+def _text(number: float | None) -> str:
+    return "" if number is None else f"{number:.3g}"
