@@ -71,6 +71,7 @@ class Story:
         self._emergencies: dict[int, bytes] = {}
         self._states: dict[tuple[int, int], State] = {}  # by node and object, of those in fault
         self._beats: dict[int, _Beat] = {}
+        self._untold: set[int] = set()  # nodes whose last emergency was forgotten: it is told when it comes again
         self._deadline: Time = NEVER
         self._last: Time = -NEVER
 
@@ -95,6 +96,13 @@ class Story:
             self._tell_kind("abort", node_id, frame.data[4:8], observation.meaning.text, now, events)
         return events
 
+    def forget_told(self) -> None:
+        """Forget what was told, and how often, but not how the bus is: what comes again is told again, in a part of a recording."""
+        self.told.clear()
+        self.repeated.clear()
+        self._kinds.clear()
+        self._untold = set(self._emergencies)
+
     def _tell(self, kind: str, node_id: int, text: str, now: Time, events: list[BusEvent]) -> None:
         self.told[kind] = self.told.get(kind, 0) + 1
         events.append(BusEvent(now, kind, node_id, text))
@@ -112,10 +120,11 @@ class Story:
         """An emergency that says the same as the last one counts only. The end of all errors is told if there were some."""
         if data[:2] == bytes(2) and node_id not in self._emergencies:
             return
-        if self._emergencies.get(node_id) == data:
+        if self._emergencies.get(node_id) == data and node_id not in self._untold:
             self.repeated["EMCY"] = self.repeated.get("EMCY", 0) + 1
             return
         self._emergencies[node_id] = data
+        self._untold.discard(node_id)
         self._tell("EMCY", node_id, observation.meaning.text, now, events)
 
     def _statusword(self, node_id: int, index: int, word: int, now: Time, events: list[BusEvent]) -> None:

@@ -92,6 +92,19 @@ def test_a_few_frames_at_once_have_no_rate(run: Run, window: tuple[str, ...]) ->
     assert (found["load_percent"], found["ids"][0]["per_second"], found["ids"][0]["load_percent"]) == (None, None, None)
 
 
+def test_the_story_of_a_part_counts_the_frames_of_the_part_and_tells_each_thing_in_it_once(run: Run) -> None:
+    """"0 x abort, and 36 times more" names nothing: what came before the part was never told."""
+    again = "({0}.0) can0 605#4000200000000000\n({0}.1) can0 585#8000200000000206\n({0}.2) can0 085#1081010000000000\n"
+    Path("again.log").write_text("".join(again.format(100 + each) for each in range(6)))
+    whole = run("log", "check", "again.log")
+    assert ("1 x abort: an SDO transfer is aborted, and 5 times more" in whole.err, "18 frames" in whole.err) == (True, True)
+    part = run("log", "check", "again.log", "--since", "3s", "--until", "4.9s")
+    assert "1 x abort: an SDO transfer is aborted, and 1 time more" in part.err
+    assert "1 x EMCY: a node tells an error, or the end of its errors, and 1 time more" in part.err
+    assert "6 frames, 2 events" in part.err
+    assert [line.split()[0] for line in part.out.splitlines()] == ["3.100000", "3.200000"]
+
+
 def test_a_mapping_before_the_part_is_known_in_it(run: Run) -> None:
     """What stands before it is looked at: else a PDO would be unknown as soon as a part is asked for."""
     set_up = ["23001A0110004160", "2F001A0001000000", "2301180185010000"]

@@ -288,7 +288,7 @@ def check(
     stories: dict[str, Story] = {}  # by channel
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
     lines: list[str] = []  # of findings, which follow the story
-    number = overruns = 0
+    number = shown = overruns = 0
     failure: LogFileError | None = None
 
     def readable() -> Iterator[Record]:
@@ -305,7 +305,10 @@ def check(
         is_in = window.has(record.time, first)
         if is_begun and not is_in:
             continue
-        is_begun = is_in
+        if is_in and not is_begun:
+            is_begun = True
+            for each in stories.values():
+                each.forget_told()
         if number % 256 == 0:
             screen.check_reader()
         lost = None
@@ -318,9 +321,7 @@ def check(
         if story is None:
             story = stories[record.channel] = Story()
         events = story.add(record.frame, observation, record.time)
-        if not is_in:
-            story.told.clear()
-            story.repeated.clear()
+        shown += is_in
         if not (is_in and (events or findings)):
             continue
         at = f"{time_of_day(record.time):>12}" if clock else f"{seconds:12.6f}"
@@ -362,7 +363,7 @@ def check(
     if total:
         likely = sum(count for (_, is_certain), count in counts.items() if not is_certain)
         totals.append(f"{counted(total, 'finding')}{f' ({total - likely} certain, {likely} likely)' if likely else ''}")
-    screen.say(f"{counted(number, 'frame')}, {', '.join(totals) or 'no findings'}")
+    screen.say(f"{counted(shown, 'frame')}, {', '.join(totals) or 'no findings'}")
     tell_skipped(screen, reader)
     if failure is not None:
         raise failure
