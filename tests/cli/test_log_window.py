@@ -93,7 +93,7 @@ def test_a_few_frames_at_once_have_no_rate(run: Run, window: tuple[str, ...]) ->
 
 
 def test_the_story_of_a_part_counts_the_frames_of_the_part_and_tells_each_thing_in_it_once(run: Run) -> None:
-    """"0 x abort, and 36 times more" names nothing: what came before the part was never told."""
+    """ "0 x abort, and 36 times more" names nothing: what came before the part was never told."""
     again = "({0}.0) can0 605#4000200000000000\n({0}.1) can0 585#8000200000000206\n({0}.2) can0 085#1081010000000000\n"
     Path("again.log").write_text("".join(again.format(100 + each) for each in range(6)))
     whole = run("log", "check", "again.log")
