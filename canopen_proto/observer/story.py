@@ -97,7 +97,7 @@ class Story:
         return events
 
     def forget_told(self) -> None:
-        """Forget what was told, and how often, but not how the bus is: what comes again is told again, in a part of a recording."""
+        """Forget what was told, and how often, but not how the bus is: what comes again is told again, as in a part of it."""
         self.told.clear()
         self.repeated.clear()
         self._kinds.clear()
