@@ -1,4 +1,4 @@
-"""`Story`: what happened on a bus, in the order of time: emergencies, drives in fault, silent nodes, aborted transfers.
+"""`Story`: what happened on a bus, in the order of time: boot-ups, emergencies, drives in fault, silent nodes, aborted transfers.
 
     story, observer = Story(), Observer(dictionaries.get)
     for frame, now in recording:
@@ -6,18 +6,33 @@
             event.time, event.node_id, event.text
 
 An event is no breach of a rule: the bus works as the standard says, and a machine stands still all the same. What comes again and
-again is told once, and counted: `repeated`. Memory is bounded: MAX_KINDS kinds of events, and the last state of 127 nodes.
+again is told once, and counted: `repeated`. `is_wrong` tells whether anything of it was wrong: a boot-up is not; an abort is not if
+the object does not exist, or if the client has waited in vain for a node that nobody has heard: programs look for what may be
+missing. A boot-up in the middle of operation is a finding of the observer, and not told here. Memory is bounded: MAX_KINDS kinds of events, and the last state of 127 nodes.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
-from canopen_proto.frame import MAX_NODE_ID, Frame
+from canopen_proto.frame import (
+    ALL_NODE_IDS,
+    EMCY,
+    ERROR_CONTROL,
+    MAX_NODE_ID,
+    SDO_SERVER_TO_CLIENT,
+    TPDO1,
+    TPDO2,
+    TPDO3,
+    TPDO4,
+    Frame,
+)
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import index_of
+from canopen_proto.nmt import NmtCommand
 from canopen_proto.observer.finding import duration_text
 from canopen_proto.observer.observer import Observation
 
@@ -27,10 +42,15 @@ MISSED: Final = 3
 """A node is silent behind so many of its heartbeat times without a heartbeat."""
 
 _ABORT: Final = b"\x80"
+_MISSING: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
+_RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
+_FUNCTION: Final = 0x780
+_BY_THE_NODE: Final = frozenset((EMCY, TPDO1, TPDO2, TPDO3, TPDO4, SDO_SERVER_TO_CLIENT, ERROR_CONTROL))
 _STATUSWORD: Final = index_of(STATUSWORD)
 
 
 KINDS: Final = {
+    "boot": "a node boots",
     "EMCY": "a node tells an error, or the end of its errors",
     "fault": "a drive falls into fault, or leaves it",
     "silent": "no heartbeat any more, or no frame at all",
@@ -62,11 +82,14 @@ class _Beat:
 
 
 class Story:
-    """See this module's text. told: events by kind. repeated: events that were told before, by kind."""
+    """See this module's text. told: events by kind. repeated: events that were told before, by kind. is_wrong: something was."""
 
     def __init__(self) -> None:
         self.told: dict[str, int] = {}
         self.repeated: dict[str, int] = {}
+        self.is_wrong = False
+        self._alive: set[int] = set()  # nodes that have sent something
+        self._is_reset: set[int] = set()  # nodes that were told to boot, and have not yet
         self._kinds: set[tuple[str, int, bytes | str]] = set()
         self._emergencies: dict[int, bytes] = {}
         self._states: dict[tuple[int, int], State] = {}  # by node and object, of those in fault
@@ -86,6 +109,12 @@ class Story:
         if observation.statuswords:
             for index, word in observation.statuswords:
                 self._statusword(node_id, index, word, now, events)
+        if frame.can_id & _FUNCTION in _BY_THE_NODE:
+            self._alive.add(node_id)
+        if service == "boot-up" and not any(each.rule == "boot-up" for each in observation.findings):
+            self._tell("boot", node_id, f"it boots{', as it was told to' if node_id in self._is_reset else ''}", now, events)
+        if service == "boot-up":
+            self._is_reset.discard(node_id)
         if service == "heartbeat" or service == "boot-up":
             self._heard(node_id, service == "boot-up", now, events)
         elif service == "EMCY":
@@ -93,6 +122,9 @@ class Story:
         elif service == "NMT":
             self._command(frame.data)
         elif service == "SDO" and frame.data[:1] == _ABORT and observation.meaning.text.startswith("aborted"):
+            code = int.from_bytes(frame.data[4:8], "little")
+            is_in_vain = code == AbortCode.TIMED_OUT and node_id not in self._alive
+            self.is_wrong = self.is_wrong or not (code in _MISSING or is_in_vain)
             self._tell_kind("abort", node_id, frame.data[4:8], observation.meaning.text, now, events)
         return events
 
@@ -100,11 +132,13 @@ class Story:
         """Forget what was told, and how often, but not how the bus is: what comes again is told again, as in a part of it."""
         self.told.clear()
         self.repeated.clear()
+        self.is_wrong = False
         self._kinds.clear()
         self._untold = set(self._emergencies)
 
     def _tell(self, kind: str, node_id: int, text: str, now: Time, events: list[BusEvent]) -> None:
         self.told[kind] = self.told.get(kind, 0) + 1
+        self.is_wrong = self.is_wrong or kind not in ("boot", "abort")
         events.append(BusEvent(now, kind, node_id, text))
 
     def _tell_kind(self, kind: str, node_id: int, mark: bytes, text: str, now: Time, events: list[BusEvent]) -> None:
@@ -145,6 +179,8 @@ class Story:
     def _command(self, data: bytes) -> None:
         """An NMT command may switch a heartbeat off: the next one is the first again."""
         if len(data) == 2 and data[1] <= MAX_NODE_ID:
+            if data[0] in _RESETS:
+                self._is_reset.update((data[1],) if data[1] else ALL_NODE_IDS)
             for node_id in [data[1]] if data[1] else list(self._beats):
                 self._beats.pop(node_id, None)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,6 +44,32 @@ def test_emergencies_are_told_with_their_text_and_once() -> None:
     (told,) = heard.tells("085#0000000000000000")
     assert "0x0000" in told
     assert heard.tells("086#1023030000000000")[0].startswith("EMCY 6: 0x2310")
+
+
+def test_each_boot_up_is_told_and_is_nothing_wrong() -> None:
+    heard = Heard()
+    assert heard.tells("000#8105", "705#00", "705#7F") == ["boot 5: it boots, as it was told to"]
+    assert heard.tells("706#00", "000#8200", "706#00") == ["boot 6: it boots", "boot 6: it boots, as it was told to"]
+    assert not heard.story.is_wrong
+    assert heard.tells("705#05", "000#8106", "705#00", "705#05") == ["boot 5: it boots, as it was told to"], "by 82 00"
+    assert heard.tells("705#00") == [], "in the middle of operation: that is a finding"
+
+
+@pytest.mark.parametrize(
+    ("frames", "is_wrong"),
+    [
+        (("605#4000200000000000", "585#8000200000000206"), False),
+        (("605#4018100900000000", "585#8018100911000906"), False),
+        (("605#4000100000000000", "605#8000100000000405"), False),  # a scan: nobody is there
+        (("705#05", "605#4000100000000000", "605#8000100000000405"), True),
+        (("605#2B00100002000000", "585#8000100002000106"), True),
+        (("605#2B17100012000000", "585#8017100012000706"), True),
+    ],
+)
+def test_an_abort_is_wrong_unless_a_program_looked_for_what_is_missing(frames: tuple[str, ...], is_wrong: bool) -> None:
+    heard = Heard()
+    (told,) = heard.tells(*frames)
+    assert (told[:8], heard.story.is_wrong) == ("abort 5:", is_wrong)
 
 
 def test_a_drive_falls_into_fault_and_leaves_it() -> None:
