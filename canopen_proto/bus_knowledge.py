@@ -14,6 +14,7 @@ signs of their node. PDOs often have other COB-IDs: they are kept apart (`NodeHe
 The frames alone do not show three things, which come from our SDO clients or follow from the CAN-ID:
 
 - an answer that came for none of our requests (`unasked_answer`): another client asks this node, or two devices have its node-ID;
+- a second answer to one request, with another value (`second_answer`): two devices have its node-ID;
 - an answer that came after the request had timed out (`late_answer`): the time limit was too short;
 - requests of other clients (`foreign_request`): any frame to 0x600 + node-ID, since we do not receive our own frames.
 
@@ -90,6 +91,8 @@ class NodeHeard(NamedTuple):
     """All that was heard of one node; see this module's text. None in a field: never.
 
     time, service: of its last sign. state, state_time: of its last heartbeat or guarding answer; PRE_OPERATIONAL after a boot-up.
+    second_answer: the last answer that gave another value than the answer before it, and no request came between them: two
+    devices have this node-ID.
     pdo: the last frame on a CAN-ID that the predefined connection set gives its TPDOs; it may be another node's. answer: the last
     SDO answer, to any client.
     """
@@ -105,6 +108,7 @@ class NodeHeard(NamedTuple):
     late_answer: LateAnswer | None
     foreign_request: Seen | None
     pdo: Seen | None
+    second_answer: Seen | None = None
 
 
 class BusKnowledge:
@@ -114,7 +118,7 @@ class BusKnowledge:
     present, "" while the bus works.
     """
 
-    __slots__ = ("_given_up", "_late", "_unasked", "frames", "hears_all", "other", "outage", "times")
+    __slots__ = ("_given_up", "_late", "_second", "_unasked", "frames", "hears_all", "other", "outage", "times")
 
     def __init__(self) -> None:
         self.times: list[Time] = [_NOT_HEARD] * SLOTS
@@ -125,6 +129,7 @@ class BusKnowledge:
         # By node-ID, so at most 127 of each
         self._given_up: dict[int, tuple[Time, bytes]] = {}  # when, and the multiplexer
         self._unasked: dict[int, Seen] = {}
+        self._second: dict[int, Seen] = {}
         self._late: dict[int, LateAnswer] = {}
 
     def on_given_up(self, node_id: int, index: int, subindex: int, now: Time) -> None:
@@ -146,8 +151,21 @@ class BusKnowledge:
                 self._late[node_id] = LateAnswer(now, now - since)
                 return
         before = self.frames[frame.key]
+        if before is not None and self._contradicts(node_id, frame, before, now):
+            self._second[node_id] = Seen(now, frame)
         if before is None or before.data != frame.data or now - self.times[frame.key] > COPY_TIME:
             self._unasked[node_id] = Seen(now, frame)
+
+    def _contradicts(self, node_id: int, frame: Frame, before: Frame, now: Time) -> bool:
+        """Return whether an ignored answer gives another value of the object of the answer before it. A request of another client
+        explains that, or one that is not heard."""
+        key = SDO_SERVER_TO_CLIENT + node_id
+        is_same = before.data[1:4] == frame.data[1:4] and before.data != frame.data
+        are_values = before.data[:1] != b"" and all(
+            each.data[0] & SPECIFIER == INITIATE_UPLOAD_RESPONSE for each in (before, frame)
+        )
+        was_asked = self.times[SDO_CLIENT_TO_SERVER + node_id] >= self.times[key] - SECOND
+        return is_same and are_values and now - self.times[key] <= SECOND and self.hears_all and not was_asked
 
     @property
     def last_heard(self) -> Time | None:
@@ -196,6 +214,7 @@ class BusKnowledge:
             self._late.get(node_id),
             self._seen(SDO_CLIENT_TO_SERVER + node_id),
             max(pdos, key=lambda seen: seen.time, default=None),
+            self._second.get(node_id),
         )
 
     def _seen(self, can_id: int) -> Seen | None:

@@ -11,7 +11,7 @@ and the next. So 127 node-IDs on an empty bus take about 3.5 s, and there are ne
 A node that was heard gets the full SDO timeout. A Stopped node is not asked: it has no SDO (7.3.2.2.5).
 
 Left out: nodes whose first SDO server has other CAN-IDs, and nodes without a node-ID (lss/scan.py). Two nodes with the same
-node-ID show as one, mostly by garbled answers.
+node-ID show as one, mostly by garbled answers; `Network.heard` tells when a second one has answered (`second_answer`).
 """
 
 from __future__ import annotations

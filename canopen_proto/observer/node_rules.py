@@ -7,7 +7,9 @@ the recording may lack a command. Behind a boot-up the state is not known: the n
 Two nodes with one ID: their heartbeats tell two states in turn. A state that changes, back, and again, without an NMT command or
 a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2). Or heartbeats come
 after a short time and a long one in turn, which together are the producer time (0x1017) that the recording has shown. A burst of
-heartbeats that were held back does not look so.
+heartbeats that were held back does not look so. Where 0x1017 is not known, two devices are likely if both times stay the same,
+and the long one is more than _UNLIKE times the short one: a device that counts in coarse ticks has only neighbouring multiples of
+one tick, as 10 ms and 20 ms.
 
 A boot-up of a node that has sent something since its last one, and was not told to reset, is told: it was switched off and on, or
 has reset itself; or the recording lacks the command.
@@ -30,7 +32,7 @@ from canopen_proto.explained import counted
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import COMMAND_OF_BYTE, STATE_OF_BYTE, NmtCommand, NmtState
-from canopen_proto.observer.finding import QUIET, BusFinding, Gaps, ms_text
+from canopen_proto.observer.finding import QUIET, BusFinding, Gaps, duration_text, ms_text
 from canopen_proto.observer.words import nmt_command_text
 
 OBEYING: Final = 100 * MILLISECOND
@@ -54,6 +56,8 @@ _TURNS: Final = 5
 """Changes of a state without a reason that only two nodes can make: A, B, A, B, A, B."""
 _PAIRS: Final = 11
 """Intervals in a row that only two nodes can make: a short one and a long one in turn, together the heartbeat time."""
+_UNLIKE: Final = 3
+"""The intervals of one device in turn are one tick and two ticks of its clock at most."""
 _SAME_TOGGLES: Final = 7
 """Guarding answers in a row with the same toggle bit that no loss makes: each time an odd number of answers would be missing."""
 COPY: Final = 5 * MILLISECOND
@@ -69,8 +73,8 @@ class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = (
-        "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_late", "is_reset", "is_said", "is_told", "is_up",
-        "last", "limit", "pairs", "period", "rhythm", "same_toggles", "since", "state", "steady", "suspect", "suspected",
+        "both", "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_late", "is_reset", "is_said", "is_told",
+        "is_up", "last", "limit", "pairs", "period", "rhythm", "same_toggles", "since", "state", "steady", "suspect", "suspected",
         "toggle", "turns",
     )  # fmt: skip
 
@@ -88,6 +92,7 @@ class _View:
         self.is_late = False  # its last heartbeat came late
         self.last: Time = -NEVER  # its last heartbeat
         self.interval: Time = 0  # from the heartbeat before it
+        self.both: Time = 0  # its last two intervals together
         self.pairs = 0  # heartbeats in a row that came in two rhythms
         self.byte = -1  # of its last heartbeat
         self.suspect: BusFinding | None = None  # what its next heartbeat may prove
@@ -195,6 +200,8 @@ class NodeRules:
                 else:
                     period = view.period or view.rhythm
                     text = f"no heartbeat for more than {ms_text(int(SILENT * period))}, and it sends one in {ms_text(period)}"
+                if view.last > -NEVER:
+                    text += f"; the last one came {duration_text(now - view.last)} before"
                 view.rhythm = view.steady = 0
                 found.append(BusFinding("late heartbeat", node_id, text, is_certain=False))
         self.deadline = min(view.deadline for view in self._views)
@@ -260,14 +267,8 @@ class NodeRules:
             view.suspect = None
         if STATE_OF_BYTE[state] is None:
             found.append(BusFinding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
-        interval, before, period = now - view.last, view.interval, view.period
-        if abs(interval + before - period) * 8 <= period and abs(interval - before) * 5 > period > 0:
-            view.pairs += 1
-            if view.pairs == _PAIRS:
-                text = f"its heartbeats come {ms_text(before)} and {ms_text(interval)} apart in turn, and it sends one in"
-                found.append(BusFinding("double id", node_id, f"{text} {ms_text(period)}: two nodes have one ID"))
-        else:
-            view.pairs = 0
+        self._in_turn(node_id, view, now, found, is_answer=is_answer)
+        interval = now - view.last
         view.last, view.is_said = now, True
         if is_answer:
             view.interval, view.rhythm, view.steady = interval, 0, 0  # by the rhythm of the requests
@@ -285,6 +286,23 @@ class NodeRules:
         if state != view.state:
             view.state, view.since, view.is_told = state, now, False
         return found
+
+    def _in_turn(self, node_id: int, view: _View, now: Time, found: list[BusFinding], *, is_answer: bool) -> None:
+        """Look whether heartbeats come in two rhythms, as those of two nodes do."""
+        interval, before, period = now - view.last, view.interval, view.period
+        both, was_both = interval + before, view.both
+        if period:
+            is_pair = abs(both - period) * 8 <= period and abs(interval - before) * 5 > period
+        else:  # of guarding, each master has a rhythm of its own
+            least, most = sorted((interval, before))
+            is_pair = not is_answer and abs(both - was_both) * 16 <= both < NEVER and most > _UNLIKE * least
+        view.both = both
+        view.pairs = view.pairs + 1 if is_pair else 0
+        if view.pairs != _PAIRS:
+            return
+        text = f"its heartbeats come {ms_text(before)} and {ms_text(interval)} apart in turn"
+        text += f", and it sends one in {ms_text(period)}: two nodes have one ID" if period else ": two nodes have one ID"
+        found.append(BusFinding("double id", node_id, text, is_certain=bool(period)))
 
     def _answered(self, node_id: int, view: _View, byte: int, now: Time, found: list[BusFinding]) -> None:
         """Look whether an answer to a guarding request has the toggle bit of the one before.

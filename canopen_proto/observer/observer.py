@@ -337,6 +337,9 @@ class Observer:
             self._sequences.booted(node_id, now)
             self._services.booted(node_id)
             self._timings.booted(node_id)
+            for channel, follower in self._followers.items():
+                if channel.node_id == node_id:
+                    follower.booted()
             self._nodes.no_consumers(node_id)  # it has its power-on values again
             self._read_consumers(node_id, self._dictionaries[node_id])
             if self._parameters.booted(node_id):

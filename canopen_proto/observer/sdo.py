@@ -17,7 +17,9 @@ Whatever a missing frame can look like is told as that, once (finding.py). A fau
     crc           the announced size is there
     two masters   another client's transfer inside of one that has all its bytes; or _REPEATED times, a second apart, answers to
                   two requests at once
-    double id     _REPEATED times in a row a second answer with another value, sooner than any answer to a request has come
+    double id     _REPEATED times in a row a second answer with another value, sooner than any answer to a request has come; or
+                  two values of an object that a device has for good (device type, identity), without a boot-up or a write
+                  between them. That is likely only where both came more than PAUSE apart: the recording may lack the boot-up
 
 Source: CiA 301 v4.2.0, 7.2.4.3.
 """
@@ -108,6 +110,10 @@ class Settled(NamedTuple):
     is_read: bool
 
 
+_FOR_GOOD: Final = frozenset((b"\x00\x10\x00", *(bytes((0x18, 0x10, subindex)) for subindex in (1, 2, 3, 4))))
+"""Objects that say who a device is, as they stand in a frame: 0x1000 and 0x1018."""
+
+
 class SdoFollower:
     """See this module's text. node_id: of the server. dictionary: of its device, for names and types; may be empty.
 
@@ -116,9 +122,10 @@ class SdoFollower:
 
     __slots__ = (
         "_acknowledgement", "_announced", "_answer", "_answered", "_asked", "_before", "_block_size", "_copies", "_crc", "_data",
-        "_dictionary", "_echo", "_found", "_gaps", "_has_crc", "_held", "_is_client", "_is_doubtful", "_is_intruded",
-        "_is_judged", "_is_lost", "_is_odd_proven", "_is_odd_request", "_is_paused", "_is_sound", "_is_upload", "_is_whole",
-        "_last", "_last_answer", "_last_request", "_least", "_length", "_now", "_odd", "_pending", "_phase", "_place",
+        "_dictionary", "_echo", "_for_good", "_found", "_gaps", "_has_crc", "_held", "_is_client", "_is_doubtful",
+        "_is_intruded", "_is_judged", "_is_lost", "_is_odd_proven", "_is_odd_request", "_is_paused", "_is_sound",
+        "_is_twin_told", "_is_upload", "_is_whole", "_last", "_last_answer", "_last_request", "_least", "_length", "_now", "_odd",
+        "_pending", "_phase", "_place",
         "_request", "_rival_at", "_rivals", "_sent", "_since", "_superseded", "_tail", "_toggle", "_twins", "_verb",
         "_was_final", "aborted", "node_id", "settled",
     )  # fmt: skip
@@ -135,6 +142,8 @@ class SdoFollower:
         self._rivals = 0  # answers to one of two requests at once
         self._rival_at: Time = -NEVER  # the last of these
         self._twins = 0  # second answers in a row
+        self._for_good: dict[bytes, tuple[bytes, Time]] = {}  # by object: its value, and when that came
+        self._is_twin_told = False  # that it has two values
         self._least: Time = NEVER  # the least time from a request to its answer
         self._held: _Interrupted | None = None  # a transfer in which another one began
         self._is_lost = False  # frames of this transfer are missing
@@ -187,6 +196,26 @@ class SdoFollower:
             self._is_paused = True
         self._now, self._before, self._is_client = now, data, is_client
         return Meaning("SDO", self.node_id, self._of_client(data) if is_client else self._of_server(data), frame)
+
+    def booted(self) -> None:
+        """Take note of a boot-up: the device may have another program, and so another identity."""
+        self._for_good.clear()
+        self._is_twin_told = False
+
+    def _compare(self, answer: bytes) -> None:
+        """Look whether an object has the value that it has for good."""
+        place = answer[1:4]
+        data = expedited_data(answer) if place in _FOR_GOOD and RESPONSES[answer[0]] is SdoFrame.UPLOAD else None
+        if data is None:
+            return
+        before, at = self._for_good.get(place, (data, self._now))
+        if not self._is_judged or (self._phase is _Phase.INITIATE_ANSWER and place == self._place):
+            self._for_good[place] = data, self._now  # what nobody asked for is no measure
+        if data != before and not self._is_twin_told:
+            self._is_twin_told = True
+            values = " and ".join(f"0x{int.from_bytes(each, 'little'):0{2 * len(each)}X}" for each in (before, data))
+            text = f"two devices answer as node {self.node_id}: {words.name_of(answer)} is {values}"
+            self._found.append(BusFinding("double id", self.node_id, text, is_certain=self._now - at <= PAUSE))
 
     def _copy(self, frame: Frame) -> Meaning:
         """Take a frame that has come twice: it counts once, unless both requests have an answer."""
@@ -247,6 +276,7 @@ class SdoFollower:
         if answer is None:
             self._say("sdo", "an SDO answer is too short for its command")
             return words.too_short
+        self._compare(answer)
         what = RESPONSES[answer[0]]
         say: Say
         if what is SdoFrame.ABORT:
@@ -292,6 +322,7 @@ class SdoFollower:
         if what is SdoFrame.UPLOAD:
             return self._step()
         if what is SdoFrame.DOWNLOAD:
+            self._for_good.pop(self._place, None)
             return self._value_or_segments(request)
         self._has_crc = bool(request[0] & CRC_BIT)
         if what is SdoFrame.BLOCK_DOWNLOAD:

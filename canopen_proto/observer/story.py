@@ -1,4 +1,4 @@
-"""`Story`: what happened on a bus, in the order of time: emergencies, drives in fault, silent nodes, aborted transfers.
+"""`Story`: what happened on a bus, in the order of time: boot-ups, emergencies, drives in fault, silent nodes, aborted transfers.
 
     story, observer = Story(), Observer(dictionaries.get)
     for frame, now in recording:
@@ -6,18 +6,35 @@
             event.time, event.node_id, event.text
 
 An event is no breach of a rule: the bus works as the standard says, and a machine stands still all the same. What comes again and
-again is told once, and counted: `repeated`. Memory is bounded: MAX_KINDS kinds of events, and the last state of 127 nodes.
+again is told once, and counted: `repeated`. What the observer finds at the same frame, such as a late heartbeat or a boot-up in
+the middle of operation, is not told once more. Memory is bounded: MAX_KINDS kinds of events, and the last state of 127 nodes.
+
+`is_wrong` tells whether anything of it was wrong. A boot-up is not. An abort is not if the object does not exist, or if a client
+has waited in vain for a node that nobody has heard: many programs look for what may be missing.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
-from canopen_proto.frame import MAX_NODE_ID, Frame
+from canopen_proto.frame import (
+    ALL_NODE_IDS,
+    EMCY,
+    ERROR_CONTROL,
+    MAX_NODE_ID,
+    SDO_SERVER_TO_CLIENT,
+    TPDO1,
+    TPDO2,
+    TPDO3,
+    TPDO4,
+    Frame,
+)
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import index_of
+from canopen_proto.nmt import NmtCommand
 from canopen_proto.observer.finding import duration_text
 from canopen_proto.observer.observer import Observation
 
@@ -27,10 +44,15 @@ MISSED: Final = 3
 """A node is silent behind so many of its heartbeat times without a heartbeat."""
 
 _ABORT: Final = b"\x80"
+_MISSING: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
+_RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
+_FUNCTION: Final = 0x780
+_BY_THE_NODE: Final = frozenset((EMCY, TPDO1, TPDO2, TPDO3, TPDO4, SDO_SERVER_TO_CLIENT, ERROR_CONTROL))
 _STATUSWORD: Final = index_of(STATUSWORD)
 
 
 KINDS: Final = {
+    "boot": "a node boots",
     "EMCY": "a node tells an error, or the end of its errors",
     "fault": "a drive falls into fault, or leaves it",
     "silent": "no heartbeat any more, or no frame at all",
@@ -62,21 +84,28 @@ class _Beat:
 
 
 class Story:
-    """See this module's text. told: events by kind. repeated: events that were told before, by kind."""
+    """See this module's text. told: events by kind. repeated: events that were told before, by kind. is_wrong: something was."""
 
     def __init__(self) -> None:
         self.told: dict[str, int] = {}
         self.repeated: dict[str, int] = {}
+        self.is_wrong = False
+        self._alive: set[int] = set()  # nodes that have sent something
+        self._is_reset: set[int] = set()  # nodes that were told to boot, and have not yet
         self._kinds: set[tuple[str, int, bytes | str]] = set()
         self._emergencies: dict[int, bytes] = {}
         self._states: dict[tuple[int, int], State] = {}  # by node and object, of those in fault
         self._beats: dict[int, _Beat] = {}
+        self._untold: set[int] = set()  # nodes whose last emergency was forgotten: it is told when it comes again
         self._deadline: Time = NEVER
         self._last: Time = -NEVER
 
     def add(self, frame: Frame, observation: Observation, now: Time) -> list[BusEvent]:
         """Take a frame, and what the observer says of it. Return what it shows to have happened. now: ns."""
         events: list[BusEvent] = []
+        for finding in observation.findings:
+            if finding.rule == "late heartbeat":
+                self._is_told_silent(finding.node_id, now)
         if now >= self._deadline:
             self._silences(now, events)
         if now > self._last:
@@ -85,6 +114,12 @@ class Story:
         if observation.statuswords:
             for index, word in observation.statuswords:
                 self._statusword(node_id, index, word, now, events)
+        if frame.can_id & _FUNCTION in _BY_THE_NODE:
+            self._alive.add(node_id)
+        if service == "boot-up" and not any(each.rule == "boot-up" for each in observation.findings):
+            self._tell("boot", node_id, f"it boots{', as it was told to' if node_id in self._is_reset else ''}", now, events)
+        if service == "boot-up":
+            self._is_reset.discard(node_id)
         if service == "heartbeat" or service == "boot-up":
             self._heard(node_id, service == "boot-up", now, events)
         elif service == "EMCY":
@@ -92,11 +127,23 @@ class Story:
         elif service == "NMT":
             self._command(frame.data)
         elif service == "SDO" and frame.data[:1] == _ABORT and observation.meaning.text.startswith("aborted"):
+            code = int.from_bytes(frame.data[4:8], "little")
+            is_in_vain = code == AbortCode.TIMED_OUT and node_id not in self._alive
+            self.is_wrong = self.is_wrong or not (code in _MISSING or is_in_vain)
             self._tell_kind("abort", node_id, frame.data[4:8], observation.meaning.text, now, events)
         return events
 
+    def forget_told(self) -> None:
+        """Forget what was told, and how often, but not how the bus is: what comes again is told again, as in a part of it."""
+        self.told.clear()
+        self.repeated.clear()
+        self.is_wrong = False
+        self._kinds.clear()
+        self._untold = set(self._emergencies)
+
     def _tell(self, kind: str, node_id: int, text: str, now: Time, events: list[BusEvent]) -> None:
         self.told[kind] = self.told.get(kind, 0) + 1
+        self.is_wrong = self.is_wrong or kind not in ("boot", "abort")
         events.append(BusEvent(now, kind, node_id, text))
 
     def _tell_kind(self, kind: str, node_id: int, mark: bytes, text: str, now: Time, events: list[BusEvent]) -> None:
@@ -112,10 +159,11 @@ class Story:
         """An emergency that says the same as the last one counts only. The end of all errors is told if there were some."""
         if data[:2] == bytes(2) and node_id not in self._emergencies:
             return
-        if self._emergencies.get(node_id) == data:
+        if self._emergencies.get(node_id) == data and node_id not in self._untold:
             self.repeated["EMCY"] = self.repeated.get("EMCY", 0) + 1
             return
         self._emergencies[node_id] = data
+        self._untold.discard(node_id)
         self._tell("EMCY", node_id, observation.meaning.text, now, events)
 
     def _statusword(self, node_id: int, index: int, word: int, now: Time, events: list[BusEvent]) -> None:
@@ -136,6 +184,8 @@ class Story:
     def _command(self, data: bytes) -> None:
         """An NMT command may switch a heartbeat off: the next one is the first again."""
         if len(data) == 2 and data[1] <= MAX_NODE_ID:
+            if data[0] in _RESETS:
+                self._is_reset.update((data[1],) if data[1] else ALL_NODE_IDS)
             for node_id in [data[1]] if data[1] else list(self._beats):
                 self._beats.pop(node_id, None)
 
@@ -152,6 +202,12 @@ class Story:
         beat.last = now
         if beat.count >= MISSED:
             self._deadline = min(self._deadline, now + MISSED * beat.period)
+
+    def _is_told_silent(self, node_id: int, now: Time) -> None:
+        """The observer has told that a node is silent, so it is not told once more; but not where the whole bus was silent."""
+        beat = self._beats.get(node_id)
+        if beat is not None and (now - self._last) * 2 <= now - beat.last:
+            beat.is_silent = True
 
     def _silences(self, now: Time, events: list[BusEvent]) -> None:
         """Tell which nodes have become silent. Where no frame came at all, the bus has, or the recording stood still."""
@@ -174,5 +230,6 @@ class Story:
             return
         for node_id, beat in silent:
             beat.is_silent = True
-            text = f"no heartbeat for {duration_text(now - beat.last)}; it had one in {duration_text(beat.period)} at most"
+            text = f"no heartbeat any more; it had one in {duration_text(beat.period)} at most"
+            text += f"; the last one came {duration_text(now - beat.last)} before"
             self._tell("silent", node_id, text, now, events)

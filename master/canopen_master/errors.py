@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence, Sized
 from numbers import Real
 from typing import Final
 
-from canopen_master.silence import sdo_silence
+from canopen_master.silence import SCAN, sdo_silence, two_devices
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
@@ -418,7 +418,10 @@ def sdo_error(
     given_up = SdoNotConfirmedError if aborted.not_confirmed else SdoGivenUpError
     is_peers = aborted.origin is AbortOrigin.PEER
     cause = "its answer to the last frame was lost" if is_peers else _OWN_REASONS.get(aborted.abort_code, "")
-    return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", code_text, cause, ())
+    twins, tries = two_devices(network, node.node_id, now), ()
+    if twins:
+        cause, tries = twins, ("take one of the two off the bus", SCAN)
+    return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", code_text, cause, tries)
 
 
 _CONTESTED: Final = (

@@ -44,6 +44,14 @@ class Diagnosis(NamedTuple):
     tries: tuple[str, ...]
 
 
+def two_devices(network: Network, node_id: int, now: Time) -> str:
+    """Return, for people, that two devices have lately answered one request with two values; "" if they have not."""
+    second = network.heard(node_id).second_answer
+    if second is None or now - second.time > RECENT:
+        return ""
+    return f"two devices answer as node {node_id}"
+
+
 def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
     """Return why a node did not answer an SDO request in time."""
     if network.outage:

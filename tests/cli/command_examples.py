@@ -167,7 +167,7 @@ FURTHER: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
     "demo": (("--for", "0.5", "--fault", "4@0.2", "--chains", "two.csv"),),
     "compare": (("3", "device.dcf", *DEMO), ("device.eds", "device.eds")),
     "log check": (("other.log", "--bitrate", "1M"), ("empty.log",)),
-    "log stats": (("bus.log", "--bitrate", "1M"), ("empty.log",)),
+    "log stats": (("bus.log", "--bitrate", "1M"), ("bus.log", "--until", "0.5s"), ("empty.log",)),
     "log diff": (("bus.log", "bus.log"),),
     "eds lint": (("faulty.eds",),),
     "eds show": (("sample_io.eds",), ("device.dcf", "1000")),

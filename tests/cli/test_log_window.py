@@ -71,6 +71,40 @@ def test_a_part_that_runs_backwards_is_refused(run: Run) -> None:
     assert (outcome.status, "--until is before --since" in outcome.err) == (ExitCode.USAGE, True)
 
 
+def test_rates_are_those_of_the_part_and_never_of_the_time_between_its_frames(run: Run) -> None:
+    """Two frames at once are no load of 80 %: whatever few frames are in a part, the bus was watched for all of it."""
+    times = (0.0, 0.9, 0.9004, 2.0)
+    Path("few.log").write_text("".join(f"({100 + each:.6f}) can0 705#05\n" for each in times))
+    found = run("log", "stats", "few.log", "--since", "0.5", "--until", "1", "--json").json
+    assert (found["frames"], found["seconds"], found["ids"][0]["per_second"]) == (2, 0.5, 4.0)
+    assert found["load_percent"] < 0.1
+    assert run("log", "stats", "few.log", "--since", "0.5", "--json").json["seconds"] == 1.5, "to the last frame, at least"
+    assert run("log", "stats", "few.log", "--until", "77s", "--json").json["seconds"] == 2.0, "nobody watched longer"
+
+
+@pytest.mark.parametrize("window", [(), ("--since", "0.9s"), ("--until", "1s")])
+def test_a_few_frames_at_once_have_no_rate(run: Run, window: tuple[str, ...]) -> None:
+    """When the recorder began and ended, no frame tells."""
+    Path("two.log").write_text("(100.0) can0 705#05\n(100.9) can0 705#05\n(100.9004) can0 705#05\n")
+    outcome = run("log", "stats", "two.log", *window)
+    assert "s, too short for a rate" in outcome.out
+    found = run("log", "stats", "two.log", *window, "--json").json
+    assert (found["load_percent"], found["ids"][0]["per_second"], found["ids"][0]["load_percent"]) == (None, None, None)
+
+
+def test_the_story_of_a_part_counts_the_frames_of_the_part_and_tells_each_thing_in_it_once(run: Run) -> None:
+    """ "0 x abort, and 36 times more" names nothing: what came before the part was never told."""
+    again = "({0}.0) can0 605#4000200000000000\n({0}.1) can0 585#8000200000000206\n({0}.2) can0 085#1081010000000000\n"
+    Path("again.log").write_text("".join(again.format(100 + each) for each in range(6)))
+    whole = run("log", "check", "again.log")
+    assert ("1 x abort: an SDO transfer is aborted, and 5 times more" in whole.err, "18 frames" in whole.err) == (True, True)
+    part = run("log", "check", "again.log", "--since", "3s", "--until", "4.9s")
+    assert "1 x abort: an SDO transfer is aborted, and 1 time more" in part.err
+    assert "1 x EMCY: a node tells an error, or the end of its errors, and 1 time more" in part.err
+    assert "6 frames, 2 events" in part.err
+    assert [line.split()[0] for line in part.out.splitlines()] == ["3.100000", "3.200000"]
+
+
 def test_a_mapping_before_the_part_is_known_in_it(run: Run) -> None:
     """What stands before it is looked at: else a PDO would be unknown as soon as a part is asked for."""
     set_up = ["23001A0110004160", "2F001A0001000000", "2301180185010000"]

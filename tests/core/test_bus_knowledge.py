@@ -172,6 +172,36 @@ def test_a_second_copy_of_an_answer_is_nobody_elses(later: Time, unasked: bool) 
     assert (network.heard(5).unasked_answer is not None) is unasked
 
 
+OTHER_TYPE = "585#4300100000000000"
+
+
+def test_a_second_answer_with_another_value_is_of_a_second_device() -> None:
+    network, client = asking()
+    client.upload(0x1000, 0, 0)
+    network.receive(Frame.parse("585#4300100092010200"), 3)
+    client.upload(0x1018, 1, 4)
+    network.receive(Frame.parse(OTHER_TYPE), 5)
+    assert network.heard(5).second_answer == (5, Frame.parse(OTHER_TYPE))
+
+
+@pytest.mark.parametrize("between", ["605#4000100000000000", "585#4B41600037020000", "585#8000100000000206"])
+def test_another_clients_request_or_another_object_makes_no_second_device(between: str) -> None:
+    network, client = asking()
+    client.upload(0x1000, 0, 0)
+    for now, frame in enumerate(("585#4300100092010200", "585#4300100092010200", between, OTHER_TYPE), 3):
+        network.receive(Frame.parse(frame), now)
+    assert network.heard(5).second_answer is None
+
+
+def test_where_frames_are_filtered_a_second_answer_proves_nothing() -> None:
+    network, client = asking()
+    network.hears_all = False
+    client.upload(0x1000, 0, 0)
+    for now, frame in enumerate(("585#4300100092010200", OTHER_TYPE), 3):
+        network.receive(Frame.parse(frame), now)
+    assert network.heard(5).second_answer is None
+
+
 @pytest.mark.parametrize("answer", ["585#4B41600037020000", "585#8041600000000206", "585#0041600037020000"])
 def test_an_answer_that_came_too_late(answer: str) -> None:
     network, client = asking()

@@ -131,6 +131,8 @@ def with_stranger(session: Session, at: int) -> Session:
 
 ANSWER = "58.#4[^1] read .* ="
 """Of an expedited upload."""
+ANSWER_THAT_CHANGES = "58.#4[^1] read (?!1000:00|1018:0[1-4]).* ="
+ANSWER_FOR_GOOD = "58.#4[^1] read (1000:00|1018:0[1-4]).* ="
 BLOCK_INITIATE = "(60|58).#.. .*(in blocks|segments a block)"
 WITH_CRC = "(60|58).#(A4|C[46])"
 REQUEST = "60.#40 read "
@@ -149,7 +151,8 @@ CHANGES = [
     Change("boot-up", ANSWER, with_boot_up),
     Change("two masters", ANSWER_IN_SEGMENTS, with_stranger),
     Change("missing", ANSWER, lambda session, at: with_byte(session, at, 3, 0x40)),
-    Change("missing", ANSWER, lambda session, at: with_copy(session, at, 4, 1)),
+    Change("missing", ANSWER_THAT_CHANGES, lambda session, at: with_copy(session, at, 4, 1)),
+    Change("double id", ANSWER_FOR_GOOD, lambda session, at: with_copy(session, at, 4, 1)),
     Change("sdo", REQUEST, lambda session, at: with_data(session, at, session[at].frame.data[:2])),
 ]
 
@@ -264,6 +267,7 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
     period = write(0x1017, 0, 100, 2)
     steady, ends = [*period, *every(100, *[RUNS] * 5)], write(0x1017, 0, 0, 2)
     yield "double id", [*period, *[(30, RUNS), (70, RUNS)] * 7, *ends], [*steady, *ends]
+    yield "double id", [(20, RUNS), (480, RUNS)] * 7, [(100, RUNS), (200, RUNS)] * 7
     both = every(1, "763#05", "762#05")
     yield "shared cob-id", *([*both, *mapped(98, 0x1E2), *mapped(99, each), (1, RUNS)] for each in (0x1E2, 0x1E3))
     yield "pdo length", [*TIMED, (1, PDO), (1, PDO + "00")], [*TIMED, (1, PDO)]

@@ -71,7 +71,7 @@ def machine(counter: int = 0) -> tuple[tuple[Time, Frame], ...]:
         lines.append((at, f"080#{number % counter + 1:02X}" if counter else "080#"))
         lines.append((at + MILLISECOND, f"18C#{number & 0xFF:02X}02"))
         if number % 3 == 0:
-            reads = [(0x6041, 0, 0x0237 + number, 2), (0x1018, 1 + number % 4, number, 4)]
+            reads = [(0x6041, 0, 0x0237 + number, 2), (0x1018, 1 + number % 4, 77, 4)]
             for place, text in enumerate(_sdo(*reads[number % 2], is_read=True)):
                 lines.append((at + (5 + place) * MILLISECOND, text))
     for number in range(30):

@@ -216,6 +216,24 @@ def test_two_nodes_that_answer_are_told_once_they_have_done_so_three_times() -> 
     assert rules(session) == ["missing", "missing", "double id"]
 
 
+TYPE = ("60C#4000100000000000", "58C#4300100092010200")
+OTHER_TYPE = "58C#4300100000000000"
+
+
+def test_a_device_type_that_has_two_values_is_of_two_devices() -> None:
+    """A scan goes on to the next object when the first answer is there, and the second device answers meanwhile."""
+    (found,) = [each for each in findings(frames(*TYPE, "60C#4018100100000000", OTHER_TYPE)) if each.rule == "double id"]
+    assert found.is_certain
+    assert found.text == "two devices answer as node 12: 1000:00 is 0x00020192 and 0x00000000"
+    (found,) = [each for each in findings(frames(*TYPE, TYPE[0], OTHER_TYPE, apart=SECOND)) if each.rule == "double id"]
+    assert not found.is_certain, "the recording may lack a boot-up"
+    assert rules(frames(*TYPE, *TYPE, *TYPE)) == []
+    assert rules(frames(*TYPE, "70C#00", TYPE[0], OTHER_TYPE)) == ["boot-up"], "it has another program now"
+    identity = ("60C#4018100400000000", "58C#4318100401000000")
+    written = ("60C#2318100402000000", "58C#6018100400000000")
+    assert rules(frames(*identity, *written, identity[0], "58C#4318100402000000")) == []
+
+
 def test_a_request_that_is_given_up_is_no_fault() -> None:
     assert findings(frames("60C#4041600000000000", "60C#4064600000000000", "58C#4364600000000000", apart=SECOND)) == []
 

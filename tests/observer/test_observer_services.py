@@ -115,6 +115,32 @@ def test_heartbeats_of_two_nodes_with_one_state() -> None:
     assert _in_turn(bus) == []
 
 
+def test_heartbeats_of_two_nodes_are_told_whether_or_not_the_recording_shows_their_period() -> None:
+    """A service technician's bus: two devices with one node-ID, each with a heartbeat in 500 ms. Nobody reads 0x1017."""
+    turns = [(20, 480), (480, 20)]
+    for first, second in turns:
+        bus = Bus()
+        told = [each for pair in [(first, second)] * 9 for ms in pair for each in bus.hears("705#7F", after=ms * MILLISECOND)]
+        assert len(told) == 1
+        assert told[0].startswith("double id 5: its heartbeats come ")
+        assert told[0].endswith(" apart in turn: two nodes have one ID")
+
+
+@pytest.mark.parametrize("turn", [(10, 20), (64, 128), (40, 100), (100, 100), (20, 480, 500), (3, 497)])
+def test_heartbeats_by_a_coarse_clock_or_late_ones_are_no_second_node(turn: tuple[int, ...]) -> None:
+    bus = Bus()
+    told = [each for pair in [turn] * 15 for ms in pair for each in bus.hears("705#7F", after=ms * MILLISECOND)]
+    assert not any(each.startswith("double id") for each in told)
+
+
+def test_two_guarding_masters_are_no_second_node() -> None:
+    bus, told = Bus(), []
+    for number in range(40):
+        told += bus.hears("705#R1", after=(20, 480)[number % 2] * MILLISECOND)
+        told += bus.hears(f"705#{5 + 0x80 * (number % 2):02X}", after=0)
+    assert not any(each.startswith("double id") for each in told)
+
+
 def _in_turn(bus: Bus) -> list[str]:
     return [found for each in (30, 70) * 7 for found in bus.hears("705#05", after=each * MILLISECOND)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -45,6 +46,32 @@ def test_emergencies_are_told_with_their_text_and_once() -> None:
     assert heard.tells("086#1023030000000000")[0].startswith("EMCY 6: 0x2310")
 
 
+def test_each_boot_up_is_told_and_is_nothing_wrong() -> None:
+    heard = Heard()
+    assert heard.tells("000#8105", "705#00", "705#7F") == ["boot 5: it boots, as it was told to"]
+    assert heard.tells("706#00", "000#8200", "706#00") == ["boot 6: it boots", "boot 6: it boots, as it was told to"]
+    assert not heard.story.is_wrong
+    assert heard.tells("705#05", "000#8106", "705#00", "705#05") == ["boot 5: it boots, as it was told to"], "by 82 00"
+    assert heard.tells("705#00") == [], "in the middle of operation: that is a finding"
+
+
+@pytest.mark.parametrize(
+    ("frames", "is_wrong"),
+    [
+        (("605#4000200000000000", "585#8000200000000206"), False),
+        (("605#4018100900000000", "585#8018100911000906"), False),
+        (("605#4000100000000000", "605#8000100000000405"), False),  # a scan: nobody is there
+        (("705#05", "605#4000100000000000", "605#8000100000000405"), True),
+        (("605#2B00100002000000", "585#8000100002000106"), True),
+        (("605#2B17100012000000", "585#8017100012000706"), True),
+    ],
+)
+def test_an_abort_is_wrong_unless_a_program_looked_for_what_is_missing(frames: tuple[str, ...], is_wrong: bool) -> None:
+    heard = Heard()
+    (told,) = heard.tells(*frames)
+    assert (told[:8], heard.story.is_wrong) == ("abort 5:", is_wrong)
+
+
 def test_a_drive_falls_into_fault_and_leaves_it() -> None:
     heard = Heard()
     assert heard.tells(*STATUSWORDS, "185#3706", "185#3706") == []
@@ -57,14 +84,22 @@ def test_a_drive_falls_into_fault_and_leaves_it() -> None:
 
 
 def test_a_node_falls_silent_and_comes_back() -> None:
+    """Its heartbeats have no even rhythm: so the observer does not find one late."""
     heard = Heard()
-    both = ["705#05", "706#05"]
-    assert heard.tells(*both * 9, after=50 * MILLISECOND) == []
+    for after in (50, 20) * 9:
+        assert heard.tells("705#05", after=after * MILLISECOND) + heard.tells("706#05", after=10 * MILLISECOND) == []
     (told,) = heard.tells(*["706#05"] * 9, after=50 * MILLISECOND)
-    assert told == "silent 5: no heartbeat for 300 ms; it had one in 100 ms at most"
+    assert told == "silent 5: no heartbeat any more; it had one in 60 ms at most; the last one came 210 ms before"
     (told,) = heard.tells("705#05", after=50 * MILLISECOND)
-    assert told == "back 5: it is back 550 ms behind its last heartbeat"
+    assert told == "back 5: it is back 510 ms behind its last heartbeat"
     assert heard.tells("000#8205", *["706#05"] * 20, after=50 * MILLISECOND) == [], "somebody has reset it"
+
+
+def test_a_silence_that_the_observer_finds_is_not_told_once_more() -> None:
+    heard = Heard()
+    assert heard.tells(*["705#05", "706#05"] * 9, after=50 * MILLISECOND) == []
+    assert heard.tells(*["706#05"] * 20, after=50 * MILLISECOND) == []
+    assert heard.tells("705#05", after=50 * MILLISECOND) == ["back 5: it is back 1.1 s behind its last heartbeat"]
 
 
 def test_where_no_frame_comes_at_all_no_node_is_blamed() -> None:

@@ -117,6 +117,9 @@ async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ..
                 nursery.start_soon(_show_progress, screen, expected, reports)
                 rows = await master.run(scan_procedure(scanner, node_ids, listen=listen, **probe))
         session.network.detach(scanner)
+        for each in rows:
+            if session.network.heard(each.node_id).second_answer is not None:
+                each.remark = "; ".join(filter(None, (f"two devices answer as node {each.node_id}", each.remark)))
         return rows, _remark(session.network, rows, not node_ids)
 
 

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
-MAX_LINES: Final = 10_000
-"""Findings that wait for the end of the story. Further ones are counted only."""
+LEAST_SPAN: Final = SECOND
+"""From the first frame to the last, in ns: a few frames in less time come at once, and say nothing about a second."""
 
 
 @click.group(cls=NamingGroup)
@@ -162,31 +162,39 @@ def replay(
 def stats(settings: Settings, source: Path, bitrate: str, since: When | None, until: When | None) -> None:
     """Count the frames of a file: number, rate and bus load of each CAN-ID.
 
+    Rates are those of the part that --since and --until name; else from the first frame to the last, if that is a second.
+
     \b
     canopen log stats trace.log
     canopen log stats trace.log --bitrate 1M --since 10s --until 20s
     """
     screen = settings.screen()
     rate = rate_of(bitrate)
-    reader, observer = reader_of(source), Observer()
+    reader, observer, window = reader_of(source), Observer(), Window(since, until)
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
     first = last = None
-    for record in watched(screen, reader, records_in(reader, Window(since, until))):
+    for record in watched(screen, reader, frames_of(reader)):
         frame = record.frame
         first = record.time if first is None else first
         last = max(record.time, first if last is None else last)
+        if not window.has(record.time, first):
+            continue
         frames[frame.key] += 1
         bits[frame.key] += frame_bits(frame)
         if frame.key not in what:
             meaning = observer.observe(frame, record.time).meaning
             service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first one is the boot-up
             what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
-    seconds = 0.0 if first is None or last is None else (last - first) / SECOND
-    rows = [(*what[key], frames[key], _per(frames[key], seconds), _per(bits[key] / rate * 100, seconds)) for key in sorted(what)]
+    window.require(reader.path)
+    span, is_known = (0, False) if first is None or last is None else window.span(first, last)
+    seconds = span / SECOND
+    if not is_known and span < LEAST_SPAN:
+        span = 0
+    rows = [(*what[key], frames[key], _per(frames[key], span), _per(bits[key] / rate * 100, span)) for key in sorted(what)]
     total = sum(frames.values())
-    load = _per(sum(bits.values()) / rate * 100, seconds)
+    load = _per(sum(bits.values()) / rate * 100, span)
     if settings.json:
         names = ("can_id", "service", "node", "frames", "per_second", "load_percent")
         ids = [dict(zip(names, row, strict=True)) for row in rows]
@@ -200,10 +208,8 @@ def stats(settings: Settings, source: Path, bitrate: str, since: When | None, un
         for name, service, node, count, each, share in rows
     ]
     screen.table(columns, texts, right=columns[2:])
-    per_second = _text(_per(total, seconds))
-    screen.data(
-        f"{counted(total, 'frame')} in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}"
-    )
+    rates = f"{_text(_per(total, span))} a second, load {_text(load)} % at {bitrate_text(rate)}"
+    screen.data(f"{counted(total, 'frame')} in {seconds:.6g} s, {rates if span else 'too short for a rate'}")
     tell_skipped(screen, reader)
 
 
@@ -262,12 +268,13 @@ def check(
 ) -> int:
     """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
 
-    First the story, in the order of time: emergencies, drives in fault, boot-ups in the middle of operation, nodes that fell
-    silent and came back, aborted SDO transfers. What repeats is told once, and counted. Then the findings: what is against the
-    standard. "certain": nothing else can look like this. "likely": frames that are missing from the recording might.
+    All in the order of time: boot-ups, emergencies, drives in fault, nodes that fell silent and came back, aborted SDO transfers.
+    What of these repeats is told once, and counted. And findings: what is against the standard. "certain": nothing else can
+    look like this. "likely": frames that are missing from the recording might.
 
-    What stands before --since is looked at, and not told. Exit status 1 if anything was told but aborts: many programs ask for
-    objects that a device may lack.
+    What stands before --since is looked at, and not told. Exit status 1 if anything was wrong. A boot-up is wrong only in the
+    middle of operation. An abort is not wrong if the object does not exist, or if a client has waited for a node that nobody
+    has heard: many programs look for what may be missing.
 
     \b
     canopen log check trace.log
@@ -279,8 +286,7 @@ def check(
     reader, buses = reader_of(source), Buses(files, bitrate=rate, load_limit=limit / 100)
     stories: dict[str, Story] = {}  # by channel
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
-    lines: list[str] = []  # of findings, which follow the story
-    number = overruns = 0
+    number = shown = overruns = 0
     failure: LogFileError | None = None
 
     def readable() -> Iterator[Record]:
@@ -297,7 +303,10 @@ def check(
         is_in = window.has(record.time, first)
         if is_begun and not is_in:
             continue
-        is_begun = is_in
+        if is_in and not is_begun:
+            is_begun = True
+            for each in stories.values():
+                each.forget_told()
         if number % 256 == 0:
             screen.check_reader()
         lost = None
@@ -310,9 +319,7 @@ def check(
         if story is None:
             story = stories[record.channel] = Story()
         events = story.add(record.frame, observation, record.time)
-        if not is_in:
-            story.told.clear()
-            story.repeated.clear()
+        shown += is_in
         if not (is_in and (events or findings)):
             continue
         at = f"{time_of_day(record.time):>12}" if clock else f"{seconds:12.6f}"
@@ -329,20 +336,11 @@ def check(
             if settings.json:
                 screen.out.out(json_text(where | finding._asdict()), highlight=False)
                 continue
-            line = f"{at} {record.frame!s:<25} {finding_text(finding)}"
-            if finding.rule == "boot-up":
-                screen.out.out(line, highlight=False)
-            elif len(lines) < MAX_LINES:
-                lines.append(line)
+            screen.out.out(f"{at} {record.frame!s:<25} {finding_text(finding)}", highlight=False)
     if failure is not None and not number:
         raise failure
     window.require(source)
-    for line in lines:
-        screen.out.out(line, highlight=False)
     total = sum(counts.values())
-    left_out = total - sum(count for (rule, _), count in counts.items() if rule == "boot-up") - len(lines)
-    if left_out > 0 and not settings.json:
-        screen.out.out(f"... and {counted(left_out, 'finding')} more", highlight=False)
     events_told = _summed(story.told for story in stories.values())
     repeated = _summed(story.repeated for story in stories.values())
     for kind in sorted(events_told.keys() | repeated.keys()):
@@ -354,11 +352,11 @@ def check(
     if total:
         likely = sum(count for (_, is_certain), count in counts.items() if not is_certain)
         totals.append(f"{counted(total, 'finding')}{f' ({total - likely} certain, {likely} likely)' if likely else ''}")
-    screen.say(f"{counted(number, 'frame')}, {', '.join(totals) or 'no findings'}")
+    screen.say(f"{counted(shown, 'frame')}, {', '.join(totals) or 'no findings'}")
     tell_skipped(screen, reader)
     if failure is not None:
         raise failure
-    return ExitCode.DIFFERENT if counts or events_told.keys() - {"abort"} else ExitCode.OK
+    return ExitCode.DIFFERENT if counts or any(each.is_wrong for each in stories.values()) else ExitCode.OK
 
 
 def _may_have_drives(bus: str) -> bool:
@@ -395,9 +393,10 @@ def _summed(counts: Iterable[dict[str, int]]) -> Counter[str]:
     return total
 
 
-def _per(count: float, seconds: float) -> float:
-    return count / seconds if seconds else 0.0
+def _per(count: float, span: int) -> float | None:
+    """Return how many come in a second; None if the span is not known, or is too short to tell. span: ns."""
+    return count * SECOND / span if span else None
 
 
-def _text(number: float) -> str:
-    return f"{number:.3g}"
+def _text(number: float | None) -> str:
+    return "" if number is None else f"{number:.3g}"

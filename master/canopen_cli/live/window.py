@@ -74,6 +74,15 @@ class Window:
         self._is_met = self._is_met or is_in
         return is_in
 
+    def span(self, first: Time, last: Time) -> tuple[Time, bool]:
+        """Return how long the recording watches the bus in this part, in ns; and whether both of its ends are known.
+
+        first, last: the times of the first and the last record of the whole recording, in ns. Between these the recorder ran.
+        When it began and ended is not known: so a part that reaches to one of them has no certain end there.
+        """
+        begin, end = _at(self.since, first, -math.inf), _at(self.until, first, math.inf)
+        return int(max(min(end, last) - max(begin, first), 0)), first <= begin and end <= last
+
     def require(self, name: object) -> None:
         """Raise a CommandError if none of the records that were asked about is in it: nothing would look like no fault. name: of
         the recording."""
