@@ -66,6 +66,16 @@ async def test_a_path_whose_velocity_the_drive_can_never_be_given_moves_nothing(
         assert arm.state is ChainState.FOLLOWING
 
 
+@virtual_time
+async def test_nor_does_one_whose_velocity_its_record_cannot_hold() -> None:
+    settings = ChainSettings(CYCLE, own_pdos=True, feed_forward=True)
+    async with arms(1, settings=settings, axis=replace(AXIS, record_velocity_unit=1e-4)) as (_, [arm], record):
+        await arm.follow()
+        with pytest.raises(PathRefusedError, match=r"its limit of speed (.|\n)*: what 0x60C1:02 of the drive can hold"):
+            await arm.follow(swing(0.5))
+        assert record.largest(1) == 0
+
+
 LATE = 2 * CYCLE
 """A point is made at a SYNC, sent behind the next one, and seen in the drive at the one after that."""
 

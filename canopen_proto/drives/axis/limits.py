@@ -131,7 +131,8 @@ class SetPointLimits:
         set_points = self.axis.set_points
         if set_points.reach is None:
             return self.lowest, self.highest
-        source = f"what {mux_text(set_points.objects[0]).removesuffix(':00')} {_OF_DRIVE} can hold"
+        mux = objects.INTERPOLATION_SET_POINT if len(set_points.objects) > 1 else set_points.objects[0]
+        source = f"what {mux_text(mux).removesuffix(':00')} {_OF_DRIVE} can hold"
         least, most = sorted(map(self.axis.scale.from_counts, set_points.reach))
         least, most = least + ROUNDING * max(1.0, abs(least)), most - ROUNDING * max(1.0, abs(most))
         return (

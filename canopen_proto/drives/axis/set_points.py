@@ -83,8 +83,7 @@ class SetPoint:
 
     @property
     def reach(self) -> tuple[int, int] | None:
-        """The least and the greatest number that the drive's object can hold; None if it holds no integer. Of a record: those of
-        its first object, the position."""
+        """The least and the greatest number that the drive's object can hold; None if it holds no integer."""
         return range_of(self._variable.data_type)
 
     def check(self, number: int) -> None:
@@ -118,6 +117,12 @@ class RecordSetPoint(SetPoint):
     @property
     def objects(self) -> tuple[Mux, ...]:
         return self._sub_mode.objects
+
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """Those of the position in it (0x60C1:01); None for a record that has it elsewhere."""
+        found = [each for each in self._variables if each.mux == objects.INTERPOLATION_SET_POINT]
+        return range_of(found[0].data_type) if found else None
 
     @property
     def sub_mode(self) -> SubMode | None:
