@@ -55,6 +55,14 @@ DRIVE_MUTANTS: Final = tuple(
             (*LIMITS, "tests/master/test_moving.py"),
         ),
         (
+            "path_too_fast_for_its_object",
+            "drives/axis/limits.py",
+            "        if reach is None:\n            return self.speed\n",
+            "        if True:\n            return self.speed\n",
+            "joints set out along a path whose velocity their drives can never be given, and are halted on their way",
+            ("tests/master/test_feed_forward.py",),
+        ),
+        (
             "rounded_beyond_the_object",
             "drives/axis/limits.py",
             "ROUNDING: Final = 2 * POSITION_TOLERANCE",

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from canopen_master import Chain, ChainSettings, ChainState, PathRefusedError
+from canopen_master import AxisSettings, Chain, ChainSettings, ChainState, PathRefusedError
 from canopen_master.motion.path_motion import Torques
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives.cia402 import objects
@@ -26,9 +26,9 @@ from tests.master.world import drives, value, virtual_time
 
 
 @asynccontextmanager
-async def arm_with_offsets(joints: int) -> AsyncIterator[tuple[Chain, list[DriveNode]]]:
+async def arm_with_offsets(joints: int, axis: AxisSettings = AXIS) -> AsyncIterator[tuple[Chain, list[DriveNode]]]:
     """A chain in csp, whose first joint has an RPDO with velocity and torque offset."""
-    async with arms(joints, mode=Mode.CYCLIC_SYNCHRONOUS_POSITION) as (master, [arm], record):
+    async with arms(joints, axis=axis, mode=Mode.CYCLIC_SYNCHRONOUS_POSITION) as (master, [arm], record):
         remote = arm.devices[0].node.remote
         offsets = PdoSettings(4, Direction.RPDO, 0x500 + remote.node_id, 1, (0x60B1_0020, 0x60B2_0010))
         await master.run(configure_pdo(remote, offsets))
@@ -50,6 +50,30 @@ async def offsets_of(node: DriveNode, arm: Chain, path: Path, torques: Torques |
         nursery.start_soon(watch)
         await arm.follow(path, torques=torques)
     return sent
+
+
+@virtual_time
+async def test_a_path_whose_velocity_the_drive_can_never_be_given_moves_nothing() -> None:
+    """A velocity unit of 1e-4 counts per second: 0x60B1 holds 0.21 units per second, and the speed limit of the joint is 1."""
+    async with arm_with_offsets(1, replace(AXIS, velocity_unit=1e-4)) as (arm, [node]):
+        await arm.follow()
+        with pytest.raises(PathRefusedError, match=r"its limit of speed (.|\n)*: what 0x60B1 of the drive can hold") as refused:
+            await arm.follow(swing(0.5))
+        assert refused.value.tries == ("a path that takes longer",)
+        assert value(node, objects.VELOCITY_OFFSET) == 0
+        await arm.move([0.5])
+        assert arm.desired_positions == pytest.approx([0.5])
+        assert arm.state is ChainState.FOLLOWING
+
+
+@virtual_time
+async def test_nor_does_one_whose_velocity_its_record_cannot_hold() -> None:
+    settings = ChainSettings(CYCLE, own_pdos=True, feed_forward=True)
+    async with arms(1, settings=settings, axis=replace(AXIS, record_velocity_unit=1e-4)) as (_, [arm], record):
+        await arm.follow()
+        with pytest.raises(PathRefusedError, match=r"its limit of speed (.|\n)*: what 0x60C1:02 of the drive can hold"):
+            await arm.follow(swing(0.5))
+        assert record.largest(1) == 0
 
 
 LATE = 2 * CYCLE

@@ -120,9 +120,10 @@ class SetPointLimits:
 
     @property
     def of_paths(self) -> JointLimits:
-        """The limits for a path of this joint: to plan it, to check it, and to stop on it. Positions: see `ends_of_paths`."""
+        """The limits for a path of this joint: to plan it, to check it, and to stop on it. See `ends_of_paths` and
+        `speed_of_paths`."""
         lowest, highest = (None if limit is None else limit.value for limit in self.ends_of_paths)
-        return JointLimits(lowest, highest, self.speed.value, self.max_acceleration.value, self.max_jerk.value)
+        return JointLimits(lowest, highest, self.speed_of_paths.value, self.max_acceleration.value, self.max_jerk.value)
 
     @property
     def ends_of_paths(self) -> tuple[Limit | None, Limit | None]:
@@ -130,13 +131,26 @@ class SetPointLimits:
         set_points = self.axis.set_points
         if set_points.reach is None:
             return self.lowest, self.highest
-        source = f"what {mux_text(set_points.objects[0]).removesuffix(':00')} {_OF_DRIVE} can hold"
+        mux = objects.INTERPOLATION_SET_POINT if len(set_points.objects) > 1 else set_points.objects[0]
+        source = f"what {mux_text(mux).removesuffix(':00')} {_OF_DRIVE} can hold"
         least, most = sorted(map(self.axis.scale.from_counts, set_points.reach))
         least, most = least + ROUNDING * max(1.0, abs(least)), most - ROUNDING * max(1.0, abs(most))
         return (
             Limit(least, source) if self.lowest is None or self.lowest.value < least else self.lowest,
             Limit(most, source) if self.highest is None or self.highest.value > most else self.highest,
         )
+
+    @property
+    def speed_of_paths(self) -> Limit:
+        """The speed limit of a path: that of the joint, or what the object of the velocity that goes along can hold."""
+        reach = self.axis.set_points.velocity_reach
+        if reach is None:
+            return self.speed
+        mux, counts = reach
+        greatest = self.axis.scale.amount_from_counts(counts) / EXACT**2  # the check of a path lets it go a bit faster
+        if greatest > self.speed.value:
+            return self.speed
+        return Limit(greatest, f"what {mux_text(mux).removesuffix(':00')} {_OF_DRIVE} can hold")
 
     def allows(self, start: float, target: float, time: Time) -> bool:
         """Return whether a set-point may be given: `excess` has nothing against it, and it fits the drive's object.

@@ -26,7 +26,7 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.drives.axis.axis_node import AxisNode, rpdos_with
 from canopen_proto.drives.axis.scale import Scale
-from canopen_proto.drives.axis.sub_modes import RecordPoint, SubMode
+from canopen_proto.drives.axis.sub_modes import PositionAndVelocity, RecordPoint, SubMode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
@@ -71,6 +71,11 @@ class SetPoint:
         return (self.mux,)
 
     @property
+    def sub_mode(self) -> SubMode | None:
+        """What makes the record; None if it is a position alone."""
+        return None
+
+    @property
     def number(self) -> int:
         """The present value of the image; 0 if it was never set."""
         value = self._store.get(self.mux, 0)
@@ -78,8 +83,7 @@ class SetPoint:
 
     @property
     def reach(self) -> tuple[int, int] | None:
-        """The least and the greatest number that the drive's object can hold; None if it holds no integer. Of a record: those of
-        its first object, the position."""
+        """The least and the greatest number that the drive's object can hold; None if it holds no integer."""
         return range_of(self._variable.data_type)
 
     def check(self, number: int) -> None:
@@ -113,6 +117,16 @@ class RecordSetPoint(SetPoint):
     @property
     def objects(self) -> tuple[Mux, ...]:
         return self._sub_mode.objects
+
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """Those of the position in it (0x60C1:01); None for a record that has it elsewhere."""
+        found = [each for each in self._variables if each.mux == objects.INTERPOLATION_SET_POINT]
+        return range_of(found[0].data_type) if found else None
+
+    @property
+    def sub_mode(self) -> SubMode | None:
+        return self._sub_mode
 
     @property
     def number(self) -> int:
@@ -216,6 +230,23 @@ class AxisSetPoints:
     def reach(self) -> tuple[int, int] | None:
         """The least and the greatest position, in counts, that the object of the drive can hold; None if it holds no integer."""
         return self._position.reach
+
+    @property
+    def velocity_reach(self) -> tuple[Mux, float] | None:
+        """The object of the velocity that goes along with position set-points, and the greatest speed that it can hold, in counts
+        per second; None if no velocity goes along, or nothing is known of it."""
+        sub_mode = self._position.sub_mode
+        if sub_mode is None:
+            mux, unit = objects.VELOCITY_OFFSET, self._scale.velocity_unit
+            if unit is None or not rpdos_with(self._node, (mux,)):
+                return None
+        elif isinstance(sub_mode, PositionAndVelocity):
+            mux, unit = objects.INTERPOLATION_VELOCITY, sub_mode.velocity_unit
+        else:
+            return None
+        least, most = range_of(self._node.dictionary.variable(mux).data_type) or _NO_RANGE
+        greatest = min(-least, most) * unit
+        return (mux, greatest) if greatest > 0.0 else None
 
     def check(self, counts: int) -> None:
         """Raise ValueRangeError for a position, in counts, that the object of the drive cannot hold."""

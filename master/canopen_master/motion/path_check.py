@@ -145,6 +145,8 @@ def _tries(device: Device, violation: LimitViolation, source: str) -> tuple[str,
     kind = violation.kind
     is_of_drive = source.endswith("of the drive")
     if kind != "position":
+        if source.endswith("can hold"):
+            return ("a path that takes longer",)
         where = source if is_of_drive and source.startswith("0x6081") else setting_of(device, f"max_{kind}")
         return "a path that takes longer, or a smoother one", f"a larger limit, if the joint may do more: {where}"
     nearer = "a path within the position limits of the joint: `path_limits` tells them"
@@ -159,4 +161,4 @@ def source_of(device: Device, kind: str, value: float) -> str:
     own = device.limits
     if kind == "position":
         return next((each.source for each in own.ends_of_paths if each is not None and each.value == value), "")
-    return {"speed": own.speed, "acceleration": own.max_acceleration, "jerk": own.max_jerk}[kind].source
+    return {"speed": own.speed_of_paths, "acceleration": own.max_acceleration, "jerk": own.max_jerk}[kind].source
