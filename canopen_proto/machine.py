@@ -179,6 +179,9 @@ class Machine:
         """Return the routing keys (`Frame.key`) of the frames that it wants. It announces changes in `out.rerouted`."""
         return ()
 
+    def check_beside(self, others: Iterable[Machine]) -> None:
+        """Raise LocalProtocolError if it cannot be in one network with those that are attached."""
+
     def receive(self, frame: Frame, now: Time) -> None:
         """Handle a frame whose routing key is among `can_ids()`. Never raises, whatever the frame holds."""
 

@@ -35,7 +35,6 @@ from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommandSent, NmtState
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
@@ -124,10 +123,7 @@ class Network:
         """
         if machine._is_attached:
             raise LocalProtocolError(f"the {type(machine).__name__} is attached already")
-        if isinstance(machine, RemoteNode):
-            for each in self._members:
-                if isinstance(each, RemoteNode) and each.node_id == machine.node_id:
-                    raise LocalProtocolError(f"there is a RemoteNode of node {each.node_id} in this network already")
+        machine.check_beside(self._members)
         self._members.attach(machine)
         if isinstance(machine, Follower):
             self._followers = self._followers | {machine: machine}

@@ -179,6 +179,11 @@ class RemoteNode(Group):
         the object's number for the caller."""
         return mux
 
+    def check_beside(self, others: Iterable[Machine]) -> None:
+        """Refuse a second view of the same node: each of the two would hear the answers to the other's requests."""
+        if any(isinstance(each, RemoteNode) and each.node_id == self.node_id for each in others):
+            raise LocalProtocolError(f"there is a RemoteNode of node {self.node_id} in this network already")
+
     # ---- objects by SDO ----
 
     def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:

@@ -360,8 +360,9 @@ def test_a_node_that_comes_or_goes_at_a_sync_takes_no_sync_from_another_one(take
         network.attach(each)
 
     def on_sync(now: Time) -> None:
-        network.detach(gone)
-        network.attach(new)
+        if now == 1:
+            network.detach(gone)
+            network.attach(new)
 
     node.add_listener(on_sync=on_sync)
     take(network, iter([(SYNC, None)]), 1)
