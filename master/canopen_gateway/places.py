@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any, Final
 
 from canopen_gateway.errors import NoSuchPlaceError
 from canopen_gateway.service import GatewayService
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary import ObjectDictionary, ObjectNotFoundError
+from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.cia402.axes import MAX_AXES
 
 _PLACE: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1,2}))?")
@@ -46,6 +48,22 @@ def find_object(dictionary: ObjectDictionary, text: str) -> tuple[int, int]:
         return number
     variable = dictionary.variable(text)
     return variable.index, variable.subindex
+
+
+def check_object(dictionaries: Sequence[ObjectDictionary], text: str) -> None:
+    """Raise ObjectNotFoundError for a name that none of these dictionaries has. text: a name, or "6041:00", which may be any."""
+    failed: list[ObjectNotFoundError] = []
+    for dictionary in dictionaries:
+        try:
+            find_object(dictionary, text)
+        except ObjectNotFoundError as error:
+            failed.append(error)
+        else:
+            return
+    if len(failed) == 1:
+        raise failed[0]
+    names = dict.fromkeys(name for each in dictionaries for variable in each for name in variable.names)
+    raise ObjectNotFoundError(f"object {text!r} is in no dictionary at hand{did_you_mean(text, names)}")
 
 
 def number_of_object(text: str) -> tuple[int, int] | None:

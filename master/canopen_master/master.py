@@ -85,6 +85,12 @@ class Master(Participant):
             self._dictionary, _ = load_dictionary()
         return self._dictionary
 
+    @property
+    def dictionaries(self) -> tuple[ObjectDictionary, ...]:
+        """The dictionaries at hand: that of nodes that are given none, then those of all nodes so far, each once."""
+        found = {id(each): each for each in (self.dictionary, *(node.dictionary for node in self._nodes.values()))}
+        return tuple(found.values())
+
     @protected
     def node(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -21,7 +22,9 @@ from canopen_gateway import DoorError, GatewayService
 from canopen_gateway.mqtt import BrokerAddress, BrokerLogin, MqttDoor, bind_mqtt_door, parse_broker
 from canopen_gateway.mqtt.broker import MOST_UNDER_WAY, check_secret
 from canopen_gateway.mqtt.door import EVENTS_KEPT
+from canopen_gateway.places import check_object
 from canopen_master import DeviceModel, Host
+from canopen_proto.dictionary import ObjectNotFoundError
 from canopen_proto.frame import Frame
 from canopen_transports import open_transport
 from tests.cli.cli_support import Run, runner
@@ -57,7 +60,7 @@ async def telemetry(
 @real_time
 async def test_values_states_and_emergencies_are_told_and_retained_for_who_comes_later(tmp_path: Path) -> None:
     port = free_port()
-    objects = ("statusword", "1008", "1018:01", "no_such_object")
+    objects = ("statusword", "1008", "1018:01", "2FFF:00")
     with broker(tmp_path, port):
         async with telemetry(port, 3, 4, objects=objects) as (host, _, door):
             with Subscriber(port) as early:
@@ -67,19 +70,50 @@ async def test_values_states_and_emergencies_are_told_and_retained_for_who_comes
                 await seen(lambda: early.last(f"{BUS}/3/emcy") is not None)
             with Subscriber(port) as late:
                 values = f"{BUS}/3/values"
-                wanted = (f"{ROOT}/online", f"{values}/statusword", f"{BUS}/3/emcy", f"{BUS}/status", f"{values}/no_such_object")
+                wanted = (f"{ROOT}/online", f"{values}/statusword", f"{BUS}/3/emcy", f"{BUS}/status", f"{values}/2FFF:00")
                 await seen(lambda: all(late.last(each) is not None for each in wanted))
                 assert all(late.told[each][0][1] for each in wanted)  # the first of each was retained
                 told = late.last(f"{values}/manufacturer_device_name")
                 assert (told["value"], told["type"]) == ("Simulated Schunk Powerball joint", "VISIBLE_STRING")
                 assert late.last(f"{values}/identity_object:vendor_id")["bytes"] == "32 03 00 00"
-                assert "not in the dictionary" in late.last(f"{values}/no_such_object")["problem"]
+                assert "refused reading 2FFF:00" in late.last(f"{values}/2FFF:00")["problem"]
                 assert late.last(f"{BUS}/3/emcy")["code"] == "0x2310"
                 await seen(lambda: list(late.last(f"{BUS}/status")["nodes"]) == ["3", "4"])
                 assert late.last(f"{ROOT}/online")["online"] is True
                 assert door.dropped == 0
                 await leave(door)
                 await seen(lambda: late.last(f"{ROOT}/online")["online"] is False)
+
+
+@real_time
+async def test_a_name_that_no_dictionary_at_hand_knows_is_refused_before_anything_is_told() -> None:
+    for wrong, told in (("statuswort", "did you mean statusword"), ("NONSENSE", "'NONSENSE' is not in the dictionary")):
+        with BareBroker() as bare:
+            address = BrokerAddress("127.0.0.1", bare.port, False)
+            door = await bind_mqtt_door("hall", address, objects=("1018:01", wrong))
+            async with door, gateway(3) as (_, service):
+                with pytest.raises(ObjectNotFoundError, match=told):
+                    await door.serve(service)
+                assert not door._last
+
+
+@real_time
+async def test_a_name_that_one_dictionary_at_hand_knows_is_read_of_its_node() -> None:
+    """And the others say that they have none."""
+    device = DeviceModel(load_description("sample_io.eds").dictionary, node_id=5)
+    name = next(each.name for each in device.dictionary if each.index >= 0x6000)
+    with BareBroker() as bare:
+        door = await bind_mqtt_door("hall", BrokerAddress("127.0.0.1", bare.port, False), objects=(name,), every=0.2)
+        async with door, gateway(makers=[device]) as (_, service), trio.open_nursery() as nursery:
+            with pytest.raises(ObjectNotFoundError):
+                await door.serve(service)
+            service.master.node(5, "sample_io.eds")
+            for wrong in (f"{name}x", "statusworx"):
+                with pytest.raises(ObjectNotFoundError, match=f"in no dictionary at hand; did you mean .*{re.escape(wrong[:9])}"):
+                    check_object(service.master.dictionaries, wrong)
+            nursery.start_soon(door.serve, service)
+            await seen(lambda: any("/5/values/" in each for each in door._last))
+            nursery.cancel_scope.cancel()
 
 
 async def leave(door: MqttDoor) -> None:
@@ -243,6 +277,8 @@ def test_the_command_and_where_its_password_may_stand(run: Run, monkeypatch: pyt
     secret.write_text("stone\n")
     empty.write_text("")
     assert run(*words, "--user", "a", "--password-file", str(secret)).status == ExitCode.OK
+    status, out, err = run(*words, "--read", "statusword", "--read", "statuswort")
+    assert (status, "did you mean statusword" in out + err) == (ExitCode.USAGE, True)
     for wrong in (
         ("--password-file", str(secret)),
         ("--user", "a", "--password-file", str(empty)),

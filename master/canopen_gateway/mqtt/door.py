@@ -33,7 +33,7 @@ import trio
 from canopen_gateway.errors import GatewayError
 from canopen_gateway.fleet.keys import ROOT, check_name, name_of_bus
 from canopen_gateway.mqtt.broker import BrokerAddress, BrokerLink, BrokerLogin, check_secret
-from canopen_gateway.places import find_object
+from canopen_gateway.places import check_object, find_object
 from canopen_gateway.plain_data import (
     HEARTBEAT_WORDS,
     NOT_HEARD,
@@ -102,10 +102,13 @@ class MqttDoor:
             await trio.to_thread.run_sync(self.link.close, self._online(False), abandon_on_cancel=True)
 
     async def serve(self, service: GatewayService) -> None:
-        """Tell the broker until cancelled. Raises GatewayFullError, ValueError if two buses would have one name."""
+        """Tell the broker until cancelled. Raises GatewayFullError; ValueError if two buses would have one name;
+        ObjectNotFoundError for an object to read that no dictionary at hand knows by this name."""
         self._names = {net: name_of_bus(net) for net in service.nets}
         if len(set(self._names.values())) < len(self._names):
             raise ValueError("two buses would have one name: give them names in a machine file")
+        for each in self._objects:
+            check_object(service.master.dictionaries, each)
         self._service = service
         with service.open_session(f"an MQTT broker, as {self.site}") as self._session:
             watchers = [

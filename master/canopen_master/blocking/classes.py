@@ -1073,6 +1073,11 @@ class BlockingMaster(MasterTwin):
         """The dictionary of nodes that are given none: that of `open_master`, or else that of the data files."""
         return self._hub.do(lambda: self._inner.dictionary)
 
+    @property
+    def dictionaries(self) -> tuple[ObjectDictionary, ...]:
+        """The dictionaries at hand: that of nodes that are given none, then those of all nodes so far, each once."""
+        return self._hub.do(lambda: self._inner.dictionaries)
+
     def node(
         self,
         node_id: int,
