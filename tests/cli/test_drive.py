@@ -83,6 +83,18 @@ def test_state_never_says_of_a_drive_that_moves_that_it_does_not(run: Run, monke
     assert json_that_fits("drive state", run("drive", "3", "state", "--json", *DEMO))["moves"] is True
 
 
+def test_a_mode_that_a_drive_shows_is_never_called_one_that_it_does_not_have(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Schunk's joints home in homing mode, which their 0x6502 lacks."""
+
+    def homing(drive: DriveNode) -> None:
+        assert drive.write(0x6060, 0, b"\x06", 0) is None
+
+    prepare(monkeypatch, homing)
+    outcome = run("drive", "3", "state", *DEMO)
+    assert "mode              homing (hm)" in outcome.out.splitlines()
+    assert "it does not have the mode" not in outcome.out
+
+
 def test_state_tells_a_target_that_is_not_reached(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def blocked(drive: DriveNode) -> None:
         moving(drive)
