@@ -18,6 +18,7 @@ from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
 from canopen_master.simulation.host import simulate
 from canopen_master.simulation.serving import DEMO_LOCATOR, SimulatedDevices, simulated_drives
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -82,6 +83,18 @@ def test_state_never_says_of_a_drive_that_moves_that_it_does_not(run: Run, monke
     assert json_that_fits("drive state", run("drive", "3", "state", "--json", *DEMO))["moves"] is True
 
 
+def test_a_mode_that_a_drive_shows_is_never_called_one_that_it_does_not_have(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Schunk's joints home in homing mode, which their 0x6502 lacks."""
+
+    def homing(drive: DriveNode) -> None:
+        assert drive.write(0x6060, 0, b"\x06", 0) is None
+
+    prepare(monkeypatch, homing)
+    outcome = run("drive", "3", "state", *DEMO)
+    assert "mode              homing (hm)" in outcome.out.splitlines()
+    assert "it does not have the mode" not in outcome.out
+
+
 def test_state_tells_a_target_that_is_not_reached(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def blocked(drive: DriveNode) -> None:
         moving(drive)
@@ -136,7 +149,8 @@ def test_disable(run: Run, simulations: list[SimulatedDevices]) -> None:
 
 
 def device(monkeypatch: pytest.MonkeyPatch, values: dict[int, int]) -> None:
-    """Put an I/O device, with objects of CiA 402 beside its own, on the bus of the demonstration."""
+    """Put an I/O device on the bus of the demonstration; with objects of CiA 402 beside its own it has a statusword, too."""
+    values = {objects.STATUSWORD: 0x0240, **values} if values else {}
     indices = dict.fromkeys(key >> 8 for key in values)
     highest = {index: max(key & 0xFF for key in values if key >> 8 == index) for index in indices}
     dictionary = io_device(5).with_objects([standard_object(index, highest=highest[index] or None) for index in indices])
@@ -258,6 +272,21 @@ def test_a_drive_that_another_program_holds_never_gets_a_halt_from_a_command_tha
     assert outcome.err.count("another node 127 was heard") == 1
     assert "--master-id" in outcome.err
     assert "open_master" not in outcome.err
+
+
+@pytest.mark.parametrize("command", ["state", "units", "move 100", "velocity 100", "enable"])
+def test_a_node_that_is_no_drive_is_called_so_by_every_command(run: Run, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    def no_drive(drive: DriveNode) -> None:
+        for index in (0x6040, 0x6041, 0x6064):
+            drive.answer(index, 0, Answer(abort=AbortCode.NO_SUCH_OBJECT))
+
+    prepare(monkeypatch, no_drive)
+    verb, *rest = command.split()
+    outcome = run("drive", verb, "3", *rest, *DEMO)
+    assert outcome.status != 0
+    assert "is no drive by CiA 402" in outcome.err
+    assert "0x6064" not in outcome.err
+    assert not outcome.out
 
 
 def test_a_position_has_the_decimals_of_a_count(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

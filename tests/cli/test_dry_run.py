@@ -125,7 +125,7 @@ def test_a_stop_is_sent_whatever_the_drive_shows(run: Run) -> None:
 def test_a_device_that_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.cli.test_drive import device
 
-    device(monkeypatch, {objects.GEAR_RATIO: 50})
+    device(monkeypatch, {})
     outcome = run("drive", "5", "stop", "--dry-run", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert "CO410" in outcome.err

@@ -48,11 +48,12 @@ def test_the_list_of_a_drive(run: Run, standard: None) -> None:
     assert "yes" in run("home", "--list", "3", *DEMO).out
 
 
-def test_a_drive_without_a_list(run: Run) -> None:
+def test_a_joint_that_homes_without_a_method_is_never_shown_with_a_list_of_them(run: Run) -> None:
     outcome = run("home", "--list", "3", *DEMO)
     assert outcome.status == 0
-    assert "does not tell its methods (0x60E3)" in outcome.err
-    assert run("home", "--list", "3", *DEMO, "--json").json["listed"] == {"3": None}
+    assert "its joints home without a method" in outcome.err
+    assert "home switch" not in outcome.out
+    assert run("home", "--list", "3", *DEMO, "--json").json["listed"] == {"3": []}
 
 
 def test_a_method_that_the_drive_lacks(run: Run, standard: None) -> None:

@@ -214,7 +214,7 @@ def _mode(view: DriveView) -> list[Reason]:
         found.append(
             Reason(what, "find the other master that selects its modes; or look whether it takes this one when disabled")
         )
-    elif wanted is not None and wanted > 0 and modes is not None and not supported(modes, wanted):
+    elif wanted is not None and wanted > 0 and wanted != shown and modes is not None and not supported(modes, wanted):
         found.append(Reason(f"it does not have the mode that was selected, {mode_name(wanted)} (0x6502)", "another mode"))
     elif wanted is not None and shown is not None and wanted != shown:
         what = f"{mode_name(wanted)} was selected, but it shows {mode_name(shown)} (0x6060, 0x6061)"

@@ -108,12 +108,12 @@ def drive() -> None:
     canopen drive fault-reset 3 -b demo
     canopen drive mode 3 -b demo       the modes that it has; with a mode: select it
     canopen drive plan 3 -e FILE ...   how it would follow set-points: mode and PDOs; nothing is written
-    canopen drive home 3 19 -b demo    IT MOVES, to its reference; --list: the homing methods
+    canopen drive home 3 -b demo       IT MOVES, to its reference; --list: the homing methods
     canopen drive move 3 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
     canopen drive velocity 5 2000 -b can0   IT MOVES, as long as the command runs
-    canopen drive torque 3 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --for
+    canopen drive torque 5 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --for
     canopen drive inputs 3 -b demo     digital inputs; outputs: the outputs, 16=1 sets one
-    canopen drive probe 3 -b demo      the position at the edge of a touch probe
+    canopen drive probe 5 -b can0      the position at the edge of a touch probe
     canopen drive enable 3 -b demo     power until Ctrl-C
     canopen drive disable 3 -b demo    no power, from any state
     canopen drive commission 3 ...     IT MOVES: a new drive, from its identity to the first move; asks before each motion

@@ -23,10 +23,12 @@ from canopen_cli.shared.session import BusSession, open_session
 from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis, AxisSettings, HomingStyle
-from canopen_proto.drives.axis.axis_node import node_of_axis
+from canopen_proto.drives.axis.axis_node import AxisNode, node_of_axis
 from canopen_proto.drives.axis.identity import identify
+from canopen_proto.drives.axis.units import read_number
 from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS, homing_name
 from canopen_proto.drives.cia402.modes import describe_status
+from canopen_proto.drives.cia402.objects import SCHUNK_VENDOR_ID, VENDOR_ID
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeoutError, all_of
 from canopen_transports.loop.beside import beside
@@ -102,7 +104,7 @@ def home_one(settings: Settings, method: int | None, style: str, limit: Time | N
 
     \b
     canopen drive home 3 -b demo
-    canopen drive home 3 35 -b demo        method 35: the present position becomes 0
+    canopen drive home 5 35 -b can0        method 35: the present position becomes 0
     """
     node_ids = (node_of_command(),)
     if lists:
@@ -227,16 +229,21 @@ def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> 
     screen = settings.screen()
     lists: dict[int, tuple[int, ...] | None] = {}
 
+    def methods_of(node: AxisNode) -> Procedure[tuple[int, ...] | None]:
+        if (yield from read_number(node, VENDOR_ID)) == SCHUNK_VENDOR_ID:
+            return ()
+        return (yield from drive.read_homing_methods(node))
+
     async def command() -> None:
         async with open_session(settings, screen) as session:
             for node_id in dict.fromkeys(node_ids):
                 seen = node_of_axis(session.node(node_id, axis).remote, axis)
-                lists[node_id] = await session.master.run(drive.read_homing_methods(seen))
+                lists[node_id] = await session.master.run(methods_of(seen))
 
     if node_ids:
         run(settings, screen, command)
     listed = {method for methods in lists.values() for method in methods or ()}
-    shown = sorted(listed) if listed and None not in lists.values() else sorted({*HOMING_METHODS, *listed})
+    shown = sorted(listed) if lists and None not in lists.values() else sorted({*HOMING_METHODS, *listed})
     if settings.json:
         screen.json(
             {
@@ -245,12 +252,16 @@ def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> 
             }
         )
         return
-    tells = {node_id: methods for node_id, methods in lists.items() if methods is not None}
+    tells = {node_id: methods for node_id, methods in lists.items() if methods}
     columns = tuple(f"node {node_id}" for node_id in tells)
     rows = [(str(each), *("yes" if each in has else "" for has in tells.values()), homing_name(each)) for each in shown]
-    screen.table(("method", *columns, "home, and where it begins"), rows, right=("method",))
-    for node_id in lists.keys() - tells.keys():
-        screen.say(f"{node_text(node_id)} does not tell its methods (0x60E3): its manual does")
+    if rows:
+        screen.table(("method", *columns, "home, and where it begins"), rows, right=("method",))
+    for node_id, methods in lists.items():
+        if methods is None:
+            screen.say(f"{node_text(node_id)} does not tell its methods (0x60E3): its manual does")
+        elif not methods:
+            screen.say(f"{node_text(node_id)} is Schunk's by its vendor-ID (0x1018:01): its joints home without a method")
 
 
 def _home(session: BusSession, axes: dict[int, Axis], node_id: int, homing: HomingChoice, number: int) -> Procedure[None]:

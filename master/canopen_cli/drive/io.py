@@ -59,8 +59,8 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
     others stay as they are.
 
     \b
-    canopen drive outputs 3 -b demo
-    canopen drive outputs 3 16=1 -b demo
+    canopen drive outputs 5 -b can0
+    canopen drive outputs 5 16=1 -b can0
     """
     screen = settings.screen()
     wanted = _changes(changes)
@@ -101,7 +101,7 @@ def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) 
     """Arm a touch probe (0x60B8), wait for its edge, and show the position there. It moves nothing: move the drive meanwhile.
 
     \b
-    canopen drive probe 3 --edge positive -b demo
+    canopen drive probe 5 --edge positive -b can0
     """
     screen = settings.screen()
     unit, scale = unit_of_command(settings, None)

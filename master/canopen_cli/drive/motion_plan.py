@@ -36,8 +36,8 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward:
     its modes. So does a chain with ChainSettings(mode=None), and `canopen demo --eds`.
 
     \b
-    canopen drive plan 3 -e drive.eds -b socketcan:can0
-    canopen drive plan 3 -e drive.eds -b socketcan:can0 --mode pp
+    canopen drive plan 5 -e drive.eds -b socketcan:can0
+    canopen drive plan 5 -e drive.eds -b socketcan:can0 --mode pp
     """
     if not settings.has_file(node_of_command()):
         raise usage(

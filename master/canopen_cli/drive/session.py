@@ -17,7 +17,7 @@ from canopen_cli.shared.screen import Screen, counted
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_cli.shared.time_left import time_left
 from canopen_master.motion.joint_procedures import ensure_answers
-from canopen_master.motion.single_drive import look_at_drive
+from canopen_master.motion.single_drive import look_at_drive, require_drive
 from canopen_master.node import Node
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode, node_of_axis
@@ -110,6 +110,7 @@ def command_drive(
     def whole(session: BusSession, node: Node) -> Procedure[T]:
         yield from ensure_answers(node)
         if enables:
+            yield from require_drive(node_of_axis(node.remote, number))
             yield from session.master.watchdogs.check(node)
         chosen = session.axis_settings(node.node_id, number)
         if scale is not None:

@@ -22,7 +22,7 @@ from canopen_cli.drive.session import (
 from canopen_cli.shared.numbers import NumberCommand
 from canopen_cli.shared.options import Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
-from canopen_master.motion.single_drive import look_at_drive
+from canopen_master.motion.single_drive import look_at_drive, require_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
@@ -99,7 +99,12 @@ def units(settings: Settings) -> None:
     canopen drive units 3 -b demo
     """
     screen = settings.screen()
-    found = read_drive(settings, screen, read_units)
+
+    def look(node: AxisNode) -> Procedure[DriveUnits]:
+        yield from require_drive(node)
+        return (yield from read_units(node))
+
+    found = read_drive(settings, screen, look)
     if settings.json:
         screen.json(_units_json(found))
         return

@@ -59,7 +59,7 @@ def torque(
     holds may fall until the torque has grown.
 
     \b
-    canopen drive torque 3 50 --max-speed 1000 --for 1s -b demo
+    canopen drive torque 5 50 --max-speed 20000 --for 0.2s -b can0
     """
     if any_speed and max_speed is not None:
         raise usage("CO123", "--max-speed and --any-speed exclude each other", tries=("one of them",))

@@ -11,6 +11,7 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.axis.reasons import look_at
 from canopen_proto.drives.axis.settings import OPEN_SETTINGS, AxisSettings
+from canopen_proto.drives.axis.units import read_number
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axis_of
@@ -25,9 +26,19 @@ def look_at_drive(node: AxisNode, settings: AxisSettings = OPEN_SETTINGS) -> Pro
     """Return what a drive shows (see `look_at`). Raises NodeIsNoDriveError if it has no statusword."""
     view = yield from look_at(node, settings)
     if view is None:
-        statusword = node.on_device(objects.STATUSWORD)
-        raise NodeIsNoDriveError(node.node_id, axis_of(statusword) or 0, index_of(statusword))
+        raise _no_drive(node)
     return view
+
+
+def require_drive(node: AxisNode) -> Procedure[None]:
+    """Raise NodeIsNoDriveError if a node has no statusword."""
+    if (yield from read_number(node, objects.STATUSWORD)) is None:
+        raise _no_drive(node)
+
+
+def _no_drive(node: AxisNode) -> NodeIsNoDriveError:
+    statusword = node.on_device(objects.STATUSWORD)
+    return NodeIsNoDriveError(node.node_id, axis_of(statusword) or 0, index_of(statusword))
 
 
 def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
