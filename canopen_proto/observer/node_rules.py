@@ -32,7 +32,7 @@ from canopen_proto.explained import counted
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import COMMAND_OF_BYTE, STATE_OF_BYTE, NmtCommand, NmtState
-from canopen_proto.observer.finding import QUIET, BusFinding, Gaps, ms_text
+from canopen_proto.observer.finding import QUIET, BusFinding, Gaps, duration_text, ms_text
 from canopen_proto.observer.words import nmt_command_text
 
 OBEYING: Final = 100 * MILLISECOND
@@ -200,6 +200,8 @@ class NodeRules:
                 else:
                     period = view.period or view.rhythm
                     text = f"no heartbeat for more than {ms_text(int(SILENT * period))}, and it sends one in {ms_text(period)}"
+                if view.last > -NEVER:
+                    text += f"; the last one came {duration_text(now - view.last)} before"
                 view.rhythm = view.steady = 0
                 found.append(BusFinding("late heartbeat", node_id, text, is_certain=False))
         self.deadline = min(view.deadline for view in self._views)

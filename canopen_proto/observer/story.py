@@ -6,9 +6,11 @@
             event.time, event.node_id, event.text
 
 An event is no breach of a rule: the bus works as the standard says, and a machine stands still all the same. What comes again and
-again is told once, and counted: `repeated`. `is_wrong` tells whether anything of it was wrong: a boot-up is not; an abort is not if
-the object does not exist, or if the client has waited in vain for a node that nobody has heard: programs look for what may be
-missing. A boot-up in the middle of operation is a finding of the observer, and not told here. Memory is bounded: MAX_KINDS kinds of events, and the last state of 127 nodes.
+again is told once, and counted: `repeated`. What the observer finds at the same frame, such as a late heartbeat or a boot-up in
+the middle of operation, is not told once more. Memory is bounded: MAX_KINDS kinds of events, and the last state of 127 nodes.
+
+`is_wrong` tells whether anything of it was wrong. A boot-up is not. An abort is not if the object does not exist, or if a client
+has waited in vain for a node that nobody has heard: many programs look for what may be missing.
 """
 
 from __future__ import annotations
@@ -101,6 +103,9 @@ class Story:
     def add(self, frame: Frame, observation: Observation, now: Time) -> list[BusEvent]:
         """Take a frame, and what the observer says of it. Return what it shows to have happened. now: ns."""
         events: list[BusEvent] = []
+        for finding in observation.findings:
+            if finding.rule == "late heartbeat":
+                self._is_told_silent(finding.node_id, now)
         if now >= self._deadline:
             self._silences(now, events)
         if now > self._last:
@@ -198,6 +203,12 @@ class Story:
         if beat.count >= MISSED:
             self._deadline = min(self._deadline, now + MISSED * beat.period)
 
+    def _is_told_silent(self, node_id: int, now: Time) -> None:
+        """The observer has told that a node is silent, so it is not told once more; but not where the whole bus was silent."""
+        beat = self._beats.get(node_id)
+        if beat is not None and (now - self._last) * 2 <= now - beat.last:
+            beat.is_silent = True
+
     def _silences(self, now: Time, events: list[BusEvent]) -> None:
         """Tell which nodes have become silent. Where no frame came at all, the bus has, or the recording stood still."""
         pause = now - self._last
@@ -219,5 +230,6 @@ class Story:
             return
         for node_id, beat in silent:
             beat.is_silent = True
-            text = f"no heartbeat for {duration_text(now - beat.last)}; it had one in {duration_text(beat.period)} at most"
+            text = f"no heartbeat any more; it had one in {duration_text(beat.period)} at most"
+            text += f"; the last one came {duration_text(now - beat.last)} before"
             self._tell("silent", node_id, text, now, events)

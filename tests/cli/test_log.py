@@ -349,11 +349,11 @@ FAULT = (
 """Between two reads and a fault of the drive, a command that is too short."""
 
 
-def test_check_tells_the_story_before_the_findings(run: Run) -> None:
+def test_check_tells_the_story_and_the_findings_in_the_order_of_time(run: Run) -> None:
     Path("a.log").write_text(FAULT)
     outcome = run("log", "check", "a.log")
     assert outcome.status == 1
-    emergency, fault, finding = outcome.out.splitlines()
+    finding, emergency, fault = outcome.out.splitlines()
     assert "0.500000 085#1023030000000000      EMCY: node 5: 0x2310 continuous over-current" in emergency
     assert "0.600000 185#0802                  fault: node 5: the drive is in fault" in fault
     assert "0.400000 000#01                    length: " in finding

@@ -84,14 +84,22 @@ def test_a_drive_falls_into_fault_and_leaves_it() -> None:
 
 
 def test_a_node_falls_silent_and_comes_back() -> None:
+    """Its heartbeats have no even rhythm: so the observer does not find one late."""
     heard = Heard()
-    both = ["705#05", "706#05"]
-    assert heard.tells(*both * 9, after=50 * MILLISECOND) == []
+    for after in (50, 20) * 9:
+        assert heard.tells("705#05", after=after * MILLISECOND) + heard.tells("706#05", after=10 * MILLISECOND) == []
     (told,) = heard.tells(*["706#05"] * 9, after=50 * MILLISECOND)
-    assert told == "silent 5: no heartbeat for 300 ms; it had one in 100 ms at most"
+    assert told == "silent 5: no heartbeat any more; it had one in 60 ms at most; the last one came 210 ms before"
     (told,) = heard.tells("705#05", after=50 * MILLISECOND)
-    assert told == "back 5: it is back 550 ms behind its last heartbeat"
-    assert heard.tells("000#8205", *["706#05"] * 20, after=50 * MILLISECOND) == [], "somebody has reset it"
+    assert told == "back 5: it is back 510 ms behind its last heartbeat"
+    assert heard.tells("000#8205", *["706#05"] * 20, after=20 * MILLISECOND) == [], "somebody has reset it"
+
+
+def test_a_silence_that_the_observer_finds_is_not_told_once_more() -> None:
+    heard = Heard()
+    assert heard.tells(*["705#05", "706#05"] * 9, after=50 * MILLISECOND) == []
+    assert heard.tells(*["706#05"] * 20, after=50 * MILLISECOND) == []
+    assert heard.tells("705#05", after=50 * MILLISECOND) == ["back 5: it is back 1.1 s behind its last heartbeat"]
 
 
 def test_where_no_frame_comes_at_all_no_node_is_blamed() -> None:

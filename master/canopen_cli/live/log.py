@@ -44,8 +44,6 @@ if TYPE_CHECKING:
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 LEAST_SPAN: Final = SECOND
 """From the first frame to the last, in ns: a few frames in less time come at once, and say nothing about a second."""
-MAX_LINES: Final = 10_000
-"""Findings that wait for the end of the story. Further ones are counted only."""
 
 
 @click.group(cls=NamingGroup)
@@ -270,9 +268,9 @@ def check(
 ) -> int:
     """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
 
-    First the story, in the order of time: boot-ups, emergencies, drives in fault, nodes that fell silent and came back,
-    aborted SDO transfers. What repeats is told once, and counted. Then the findings: what is against the
-    standard. "certain": nothing else can look like this. "likely": frames that are missing from the recording might.
+    All in the order of time: boot-ups, emergencies, drives in fault, nodes that fell silent and came back, aborted SDO transfers.
+    What of these repeats is told once, and counted. And findings: what is against the standard. "certain": nothing else can
+    look like this. "likely": frames that are missing from the recording might.
 
     What stands before --since is looked at, and not told. Exit status 1 if anything was wrong. A boot-up is wrong only in the
     middle of operation. An abort is not wrong if the object does not exist, or if a client has waited for a node that nobody
@@ -288,7 +286,6 @@ def check(
     reader, buses = reader_of(source), Buses(files, bitrate=rate, load_limit=limit / 100)
     stories: dict[str, Story] = {}  # by channel
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
-    lines: list[str] = []  # of findings, which follow the story
     number = shown = overruns = 0
     failure: LogFileError | None = None
 
@@ -339,20 +336,11 @@ def check(
             if settings.json:
                 screen.out.out(json_text(where | finding._asdict()), highlight=False)
                 continue
-            line = f"{at} {record.frame!s:<25} {finding_text(finding)}"
-            if finding.rule == "boot-up":
-                screen.out.out(line, highlight=False)
-            elif len(lines) < MAX_LINES:
-                lines.append(line)
+            screen.out.out(f"{at} {record.frame!s:<25} {finding_text(finding)}", highlight=False)
     if failure is not None and not number:
         raise failure
     window.require(source)
-    for line in lines:
-        screen.out.out(line, highlight=False)
     total = sum(counts.values())
-    left_out = total - sum(count for (rule, _), count in counts.items() if rule == "boot-up") - len(lines)
-    if left_out > 0 and not settings.json:
-        screen.out.out(f"... and {counted(left_out, 'finding')} more", highlight=False)
     events_told = _summed(story.told for story in stories.values())
     repeated = _summed(story.repeated for story in stories.values())
     for kind in sorted(events_told.keys() | repeated.keys()):
