@@ -50,8 +50,8 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "observer_copies_told_each",
             _FINDING,
-            "if now - self._copied > QUIET:",
-            "if now >= self._copied:",
+            "if now - self._copied > QUIET and not self.is_at_once:",
+            "if now >= self._copied and not self.is_at_once:",
             "each frame of a burst is told",
             SERVICES,
         ),

@@ -101,9 +101,9 @@ def with_data(session: Session, at: int, data: bytes) -> Session:
 
 
 def with_copy(session: Session, at: int, place: int, bits: int) -> Session:
-    """The session with a frame sent a second time 10 us later, with some bits flipped."""
+    """The session with a frame sent a second time 100 us later, with some bits flipped."""
     copy = with_byte(session, at, place, bits)[at]
-    return [*session[: at + 1], copy._replace(time=copy.time + 10_000), *session[at + 1 :]]
+    return [*session[: at + 1], copy._replace(time=copy.time + 100_000), *session[at + 1 :]]
 
 
 def without(session: Session, at: int) -> Session:
