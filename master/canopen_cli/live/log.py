@@ -246,6 +246,7 @@ def decode(
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
     watch = FrameMonitor(settings, screen, choice, source, Window(since, until), clock=clock)
     run(settings, screen, watch.show, reads=source)
+    watch.tell_passed_over()
     watch.tell_skipped()
 
 
