@@ -425,6 +425,20 @@ def test_a_command_that_ends_by_itself_says_so(run: Run, command: str) -> None:
     assert ("for 0.5 s; " in outcome.err, "until Ctrl-C" in outcome.err) == (True, False)
 
 
+def test_a_damaged_line_in_the_middle_is_skipped_and_told(run: Run, log: Path) -> None:
+    """Nothing is lost in silence: its number is told, and frames are missing there."""
+    first, *others = LOG.splitlines(keepends=True)
+    log.write_text("".join([first, "(1436509100.05) can0 58\n", *others]))
+    outcome = run("log", "decode", str(log))
+    assert (outcome.status, len(outcome.out.splitlines())) == (0, 4)
+    assert "1 entry passed over, the last: line 2 is damaged" in outcome.err
+    outcome = run("log", "check", str(log))
+    assert outcome.status == 1
+    assert "missing: frames are missing here: line 2 is damaged" in outcome.out
+    log.write_text("hello\n" + LOG)
+    assert run("log", "decode", str(log)).status == ExitCode.BAD_FILE, "it may be no recording at all"
+
+
 def test_a_bus_server_records_too(run: Run) -> None:
     outcome = run("bus", "serve", "--port", "0", "--seconds", "0", "--trace", "t.log")
     assert outcome.status == 0
