@@ -17,6 +17,7 @@ _NODES: Final = "observer/node_rules.py"
 _PDOS: Final = "observer/pdo_rules.py"
 _SERVICES: Final = "observer/service_rules.py"
 _SDO: Final = "observer/sdo.py"
+_OBSERVER: Final = "observer/observer.py"
 
 OBSERVER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -38,6 +39,31 @@ OBSERVER_MUTANTS: Final = tuple(
             "a PDO is expected at each SYNC, by a parameter that a boot-up has reset",
             SERVICES,
         ),
+        (
+            "observer_identity_survives_boot",
+            _SDO,
+            "        self._for_good.clear()\n",
+            "",
+            "a device that runs another program behind its boot-up is told as two devices",
+            SDO,
+        ),
+        # ---- two devices with one node-ID ----
+        (
+            "observer_coarse_clock_is_two_devices",
+            _NODES,
+            "and most > _UNLIKE * least",
+            "and most * 3 > least * 4",
+            "one device that counts in coarse ticks is told as two",
+            SERVICES,
+        ),
+        (
+            "observer_queue_is_a_copy",
+            _OBSERVER,
+            "self._gaps.is_at_once = now - self._now < AT_ONCE",
+            "self._gaps.is_at_once = False",
+            "frames that a late reader took from its queue at once are told as copies",
+            FRAMES,
+        ),
         # ---- gaps ----
         (
             "observer_gap_told_for_each_sign",
@@ -50,8 +76,8 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "observer_copies_told_each",
             _FINDING,
-            "if now - self._copied > QUIET:",
-            "if now >= self._copied:",
+            "if now - self._copied > QUIET and not self.is_at_once:",
+            "if now >= self._copied and not self.is_at_once:",
             "each frame of a burst is told",
             SERVICES,
         ),

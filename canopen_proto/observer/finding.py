@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Time
 
 QUIET: Final = 1 * SECOND
 """Another sign within this time behind the last one is of the same gap."""
+
+AT_ONCE: Final = 40 * MICROSECOND
+"""No bus carries two frames in less time: the shortest one takes 47 us at 1 Mbit/s."""
 
 
 class BusFinding(NamedTuple):
@@ -30,13 +33,15 @@ class BusFinding(NamedTuple):
 class Gaps:
     """Where a recording lacks frames, has them twice, or has them late; see this module's text.
 
-    last: when the last sign came that frames are missing.
+    last: when the last sign came that frames are missing. is_at_once: this frame has come within AT_ONCE behind the one before
+    it: a late reader took both from its queue, and when they came is not known.
     """
 
-    __slots__ = ("_copied", "last")
+    __slots__ = ("_copied", "is_at_once", "last")
 
     def __init__(self) -> None:
         self.last: Time = -NEVER
+        self.is_at_once = False
         self._copied: Time = -NEVER
 
     def is_near(self, now: Time) -> bool:
@@ -56,8 +61,9 @@ class Gaps:
         return BusFinding("missing", 0, f"frames are missing here: {text}")
 
     def copied(self, node_id: int, text: str, now: Time, found: list[BusFinding]) -> None:
-        """Take a frame that has come twice. text: for people. found: takes the finding, if the last one is a while ago."""
-        if now - self._copied > QUIET:
+        """Take a frame that has come twice. text: for people. found: takes the finding, if the last one is a while ago, and if it
+        is known when the frame came."""
+        if now - self._copied > QUIET and not self.is_at_once:
             found.append(BusFinding("copied", node_id, text, is_certain=False))
         self._copied = now
 

@@ -48,7 +48,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of, subindex_of
 from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 from canopen_proto.observer import words
-from canopen_proto.observer.finding import BusFinding, Gaps
+from canopen_proto.observer.finding import AT_ONCE, BusFinding, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
 from canopen_proto.observer.parameters import Channel, CobIdService, ObservedParameters, channels_of, services_of
@@ -168,6 +168,7 @@ class Observer:
 
     def observe(self, frame: Frame, now: Time) -> Observation:
         """Return what a frame means, and what is wrong. Frames come in order. now: ns; an earlier one counts as the last."""
+        self._gaps.is_at_once = now - self._now < AT_ONCE
         if now > self._now:
             self._now = now
         else:

@@ -281,7 +281,10 @@ def test_decode(run: Run, log: Path) -> None:
     assert lines[1].endswith("read 6041:00 statusword = 576 (0x240, switch_on_disabled, remote)")
     assert lines[3].endswith("heartbeat   3  operational")
     assert len(run("log", "decode", str(log), "--service", "sdo", "--node", "3").out.splitlines()) == 2
-    assert run("log", "decode", str(log), "--node", "4").out == ""
+    nothing = run("log", "decode", str(log), "--node", "4")
+    assert (nothing.status, nothing.out) == (0, "")
+    assert "4 frames passed over: none is what was asked for" in nothing.err
+    assert "passed over" not in run("log", "decode", str(log), "--node", "3").err
     first = json.loads(run("log", "decode", str(log), "--json").out.splitlines()[0])
     assert (first["frame"], first["service"], first["node"], first["sent"]) == ("603#4041600000000000", "SDO", 3, True)
 
@@ -414,6 +417,26 @@ def test_decode_names_the_line_that_is_wrong(run: Run, log: Path) -> None:
     assert outcome.status == 6
     assert f"{log}:5 is not understood" in outcome.err
     assert len(outcome.out.splitlines()) == 4
+
+
+@pytest.mark.parametrize("command", ["log record x.log", "monitor", "emcy watch"])
+def test_a_command_that_ends_by_itself_says_so(run: Run, command: str) -> None:
+    outcome = run(*command.split(), "--for", "0.5", "-b", "demo")
+    assert ("for 0.5 s; " in outcome.err, "until Ctrl-C" in outcome.err) == (True, False)
+
+
+def test_a_damaged_line_in_the_middle_is_skipped_and_told(run: Run, log: Path) -> None:
+    """Nothing is lost in silence: its number is told, and frames are missing there."""
+    first, *others = LOG.splitlines(keepends=True)
+    log.write_text("".join([first, "(1436509100.05) can0 58\n", *others]))
+    outcome = run("log", "decode", str(log))
+    assert (outcome.status, len(outcome.out.splitlines())) == (0, 4)
+    assert "1 entry passed over, the last: line 2 is damaged" in outcome.err
+    outcome = run("log", "check", str(log))
+    assert outcome.status == 1
+    assert "missing: frames are missing here: line 2 is damaged" in outcome.out
+    log.write_text("hello\n" + LOG)
+    assert run("log", "decode", str(log)).status == ExitCode.BAD_FILE, "it may be no recording at all"
 
 
 def test_a_bus_server_records_too(run: Run) -> None:

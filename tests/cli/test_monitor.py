@@ -55,7 +55,7 @@ def test_a_bus_is_shown_as_it_goes_on(run: Run) -> None:
     assert lines[0] == "    0.000000 703#00                    boot-up     3"
     assert lines[-1] == "    0.450000 708#7F                    heartbeat   8  pre-operational"
     assert (outcome.status, len(lines)) == (0, 12)
-    assert outcome.err.splitlines() == ["demo, until Ctrl-C; nothing is sent", "12 frames in 0.7 s, no findings"]
+    assert outcome.err.splitlines() == ["demo, for 0.7 s; nothing is sent", "12 frames in 0.7 s, no findings"]
 
 
 def test_ctrl_c_is_its_usual_end(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

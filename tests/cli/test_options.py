@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 import pytest
 
-from canopen_cli.shared.options import Breakdown, Duration, NodeIds, Settings, node_id_of
+from canopen_cli.node.objects import read
+from canopen_cli.shared.options import Breakdown, Duration, NodeIds, Seconds, Settings, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.values import as_json, hex_text, parse_value, value_text
 from canopen_data import load_dictionary
@@ -68,6 +69,15 @@ def test_a_time_without_its_unit_is_not_guessed(text: str) -> None:
     with pytest.raises(click.BadParameter, match=f"'{text}' has no unit: {text}ms or {text}s"):
         Duration().convert(text, None, None)
     assert Duration(0).convert("0", None, None) == 0
+
+
+def test_a_number_alone_is_seconds_for_a_timeout_as_for_how_long() -> None:
+    """`--timeout 5` was refused, and `--for 5` was not."""
+    assert Duration(is_seconds=True).convert("5", None, None) == 5 * 10**9
+    assert Duration(is_seconds=True).convert("500ms", None, None) == 5 * 10**8
+    assert Seconds().convert("5", None, None) == 5.0
+    (timeout,) = [each for each in read.params if each.name == "timeout"]
+    assert timeout.type.convert("5", None, None) == 5 * 10**9
 
 
 def test_a_fault_is_a_node_and_a_time() -> None:

@@ -30,16 +30,18 @@ from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings
 from canopen_cli.tui.app import MachineView
 from canopen_cli.tui.guest import run_beside
-from canopen_cli.tui.machine_watch import MachineWatch
+from canopen_cli.tui.machine_watch import MOST_LINES, MachineWatch
 from canopen_cli.tui.questions import Ask
 from canopen_cli.tui.rows import Rows, cell
-from canopen_cli.tui.shown import ObjectPlace
+from canopen_cli.tui.shown import LineKind, ObjectPlace
 from canopen_cli.tui.views import traffic_text
 from canopen_data import load_dictionary
 from canopen_gateway import GatewaySession, Permission, open_gateway
 from canopen_master import open_master
 from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.simulation import SimulatedDevices, simulated_drives
+from canopen_proto.frame import Frame
+from canopen_transports.record import Record
 from canopen_transports.tracing import listening
 from tests.cli.cli_support import Run, stands
 from tests.cli.terminal import Terminal, canopen, needs_tmux, terminals
@@ -234,6 +236,20 @@ def test_more_than_may_be_watched_is_refused_and_the_others_go_on() -> None:
         held.watch.ask_watch(places[0], "x")
         held.watch.ask_watch(places[0], "x")
         await until(pilot, lambda: any("131474" in row for row in rows(view)))
+
+    viewed(test)
+
+
+def test_a_finding_that_the_header_counts_is_there_to_be_read_however_many_frames_came_since() -> None:
+    async def test(pilot: Pilot[None], held: Held) -> None:
+        now = time.time_ns()
+        texts = ["000#01", *["123#"] * (MOST_LINES + 9)]
+        for number, text in enumerate(texts):
+            held.watch.heard(Record(now + number * 1_000_000, "other", Frame.parse(text)))
+        await until(pilot, lambda: held.watch.shown.frames >= len(texts))
+        lines = [each.text for each in held.watch.shown.traffic if each.kind is LineKind.FINDING]
+        assert len(lines) == held.watch.shown.findings == 1
+        assert lines[0].startswith("length: an NMT command of 1 byte")
 
     viewed(test)
 

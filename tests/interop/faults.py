@@ -101,9 +101,9 @@ def with_data(session: Session, at: int, data: bytes) -> Session:
 
 
 def with_copy(session: Session, at: int, place: int, bits: int) -> Session:
-    """The session with a frame sent a second time 10 us later, with some bits flipped."""
+    """The session with a frame sent a second time 100 us later, with some bits flipped."""
     copy = with_byte(session, at, place, bits)[at]
-    return [*session[: at + 1], copy._replace(time=copy.time + 10_000), *session[at + 1 :]]
+    return [*session[: at + 1], copy._replace(time=copy.time + 100_000), *session[at + 1 :]]
 
 
 def without(session: Session, at: int) -> Session:
@@ -267,7 +267,6 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
     period = write(0x1017, 0, 100, 2)
     steady, ends = [*period, *every(100, *[RUNS] * 5)], write(0x1017, 0, 0, 2)
     yield "double id", [*period, *[(30, RUNS), (70, RUNS)] * 7, *ends], [*steady, *ends]
-    yield "double id", [(20, RUNS), (480, RUNS)] * 7, [(100, RUNS), (200, RUNS)] * 7
     both = every(1, "763#05", "762#05")
     yield "shared cob-id", *([*both, *mapped(98, 0x1E2), *mapped(99, each), (1, RUNS)] for each in (0x1E2, 0x1E3))
     yield "pdo length", [*TIMED, (1, PDO), (1, PDO + "00")], [*TIMED, (1, PDO)]
@@ -297,6 +296,7 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
     full = "1E3#5555555555555555"
     yield "load", every(0.8, *[full] * 2700), every(10, *[full] * 10)
     yield "late heartbeat", [*steady, (300, READ)], [*steady, (150, RUNS), *ends]
+    yield "double id", [(20, RUNS), (480, RUNS)] * 7, [(100, RUNS), (200, RUNS)] * 7
 
 
 SCENES = [Scene(rule, wrong, True) for rule, wrong, _ in pairs()] + [Scene(rule, right, False) for rule, _, right in pairs()]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import RULES, Observer
 from canopen_proto.testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
@@ -301,7 +301,15 @@ def test_any_frames_are_observed_and_nothing_grows(entries: list[tuple[Frame, in
         assert len(observation.findings) <= 4 + 127
 
 
+@pytest.mark.parametrize("apart", [0, 3 * MICROSECOND, 30 * MICROSECOND])
+def test_frames_that_a_late_reader_took_from_its_queue_at_once_are_no_copies(apart: Time) -> None:
+    """No bus carries them in so short a time: when they came is not known."""
+    queue = ["703#05", "704#05", "080#01", "080#01"] * 4 + ["603#4041600000000000", "583#4B41600037020000"]
+    assert Bus().hear_all(*[each for each in queue for _ in range(2)], after=apart) == []
+
+
 def test_an_earlier_time_counts_as_the_last() -> None:
     observer = Observer()
     observer.observe(Frame.parse("705#05"), SECOND)
-    assert observer.observe(Frame.parse("705#05"), 0).findings[0].rule == "copied"
+    observer.observe(Frame.parse("080#"), 0)
+    assert observer.observe(Frame.parse("705#05"), SECOND + MILLISECOND).findings[0].rule == "copied"

@@ -20,6 +20,9 @@ from canopen_transports.record import DEFAULT_CHANNEL, LogDamagedError, Record, 
 
 EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (a line as `candump -L` writes it)"
 
+MAX_DAMAGED: Final = 100
+"""Lines in a row that are not candump's: more are a file of another kind."""
+
 _LOGGED: Final = re.compile(r"\(([0-9]{1,11})\.([0-9]{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]+#\S*)(?:\s+([RT]))?")
 _SHOWN: Final = re.compile(
     r"(?:\((?:([0-9]{1,11})\.([0-9]{1,9})|([0-9]{4}-[0-9-]{5} [0-9:.]{8,15}))\)\s+)?"  # -t
@@ -45,18 +48,32 @@ class NotAFrameError(ValueError):
 
 
 def read_candump(lines: Iterable[str], skip: Skip) -> Iterator[Record]:
-    """Yield the records of lines; empty lines are allowed. skip: told of each line that is no frame of classical CAN. Raises
-    LogDamagedError for a line that is not candump's."""
+    """Yield the records of lines; empty lines are allowed. skip: told of each line that is no frame of classical CAN, and of each
+    line between frames that is not candump's: frames are missing there. Raises LogDamagedError for such a line before all frames,
+    or behind the last one, and for more than MAX_DAMAGED of them in a row."""
+    damaged: list[LogDamagedError] = []  # behind the last line that was understood
+    is_begun = False
     for number, line in enumerate(lines, 1):
         text = line.strip()
         if not text:
             continue
         try:
-            yield parse_line(text)
+            record = parse_line(text)
         except NotAFrameError as reason:
             skip(str(reason), is_overrun=reason.is_overrun)
+            continue
         except ValueError as error:
-            raise LogDamagedError(str(error), number, EXAMPLE) from error
+            damaged.append(LogDamagedError(str(error), number, EXAMPLE))
+            if not is_begun or len(damaged) > MAX_DAMAGED:
+                break
+            continue
+        for each in damaged:
+            skip(f"line {each.line} is damaged: {each}", is_overrun=True)
+        damaged.clear()
+        is_begun = True
+        yield record
+    if damaged:
+        raise damaged[0]
 
 
 def parse_line(line: str) -> Record:

@@ -12,7 +12,7 @@ capture, too, as `tshark -w -` writes it: its first bytes tell.
 
 LOSSES says what the other kinds lose, measured with python-can 4.6 (see the tests). The reader skips and counts entries that are
 not classical CAN frames: error frames, CAN FD, a measuring program's own events. A file that is not of its kind, or that ends in
-the middle, raises an error after all frames that can be read.
+the middle, raises an error after all frames that can be read. A damaged line between candump's is skipped and counted, too.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ class LogReader:
 
     path: its ending says the kind; `.txt` is candump's text, like `.log`. stream: candump's text, or a capture, from elsewhere
     (standard input); path then only names it. skipped: how many entries were not classical CAN frames so far; last_skip: why the
-    last was not. overruns: how many of these say that the recorder lost frames there: candump's error frames.
+    last was not. overruns: how many of these say that frames are missing there: candump's error frames of a
+    recorder that was overrun, and damaged lines between frames.
     """
 
     def __init__(self, path: Path, stream: BufferedReader | None = None) -> None:

@@ -4,9 +4,9 @@
         ...                                         every transport that `open_transport` opens in here is recorded
 
 Each frame is recorded once: if one bus has several members in this process (the master and the simulated drives of `-b demo`),
-only the first one records. A record's time is when this process saw or sent the frame, on the loop's clock for all buses; the
-kernel's time stamps are on another clock. A sent frame is recorded once the bus has taken it, with the time at which it was given
-to the bus. Frames that overtake it are held back, so that the records stay in order.
+only the first one records. A record's time is when this process saw or sent the frame, on the loop's clock for all buses; what
+it took at once has one time. The kernel's time stamps are on another clock. A sent frame is recorded once the bus has taken it,
+with the time at which it was given to the bus. Frames that overtake it are held back, so that the records stay in order.
 
 If a trace cannot be written (no room on the disk), it ends, and says so at the end: the drives must not stop for it.
 """
@@ -193,7 +193,7 @@ class TracingTransport(AsyncResource):
 
     async def receive(self) -> Received | Report:
         received = await self.transport.receive()
-        self._note(received)
+        self._note(received, self._trace.now())
         return received
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
@@ -201,15 +201,17 @@ class TracingTransport(AsyncResource):
         if self._batch is None:
             return [await self.receive()]
         taken = await self._batch.receive_many(limit)
+        now = self._trace.now()
         for item in taken:
-            self._note(item)
+            self._note(item, now)
         return taken
 
     def receive_nowait(self, limit: int) -> list[Received | Report] | None:
         """Receive as the transport below does; None if that one cannot."""
         taken = None if self._prompt is None else self._prompt.receive_nowait(limit)
+        now = self._trace.now()
         for item in taken or ():
-            self._note(item)
+            self._note(item, now)
         return taken
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
@@ -231,10 +233,10 @@ class TracingTransport(AsyncResource):
     def _record_of(self, frame: Frame, sent: bool) -> Record:
         return Record(self._trace.now(), self._channel, frame, sent)
 
-    def _note(self, received: Received | Report) -> None:
+    def _note(self, received: Received | Report, now: int) -> None:
         if isinstance(received, tuple):
             frame = received[0]
-            self._record_in_turn(self._record_of(frame, self._ours == (frame.key in self._cyclic_keys)))
+            self._record_in_turn(Record(now, self._channel, frame, self._ours == (frame.key in self._cyclic_keys)))
         elif isinstance(received, ReceiveOverrun) and self._trace.records(self):
             self._trace.lost += received.lost
 

@@ -14,7 +14,7 @@ from canopen_cli.live.frame_lines import Buses
 from canopen_cli.live.line_writer import open_line_writer
 from canopen_cli.live.source import open_live_source, recorded, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, lasting
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, lasting, until_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -56,7 +56,7 @@ def watch(
     async def show() -> None:
         try:
             with trio.move_on_after(math.inf if seconds is None else seconds):
-                await _show(settings, screen, files, frozenset(nodes or ()), source, counts)
+                await _show(settings, screen, files, frozenset(nodes or ()), source, counts, seconds)
         finally:
             if source is None or counts.frames:
                 screen.say(counted(counts.told, "emergency"))
@@ -77,7 +77,13 @@ class _Counts:
 
 
 async def _show(
-    settings: Settings, screen: Screen, files: NodeFiles, nodes: frozenset[int], source: Path | None, counts: _Counts
+    settings: Settings,
+    screen: Screen,
+    files: NodeFiles,
+    nodes: frozenset[int],
+    source: Path | None,
+    counts: _Counts,
+    seconds: float | None,
 ) -> None:
     async with (
         first_error(),
@@ -85,7 +91,7 @@ async def _show(
         open_line_writer(screen, _gap, waits=not live.is_live, clear=live.clear) as writer,
     ):
         if live.is_live:
-            screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; nothing is sent")
+            screen.say(f"[bold]{escape(live.name)}[/], {until_text(seconds)}; nothing is sent")
         buses = Buses(files)
         async for heard in live:
             if not isinstance(heard, Record):

@@ -246,6 +246,7 @@ def decode(
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
     watch = FrameMonitor(settings, screen, choice, source, Window(since, until), clock=clock)
     run(settings, screen, watch.show, reads=source)
+    watch.tell_passed_over()
     watch.tell_skipped()
 
 
@@ -312,7 +313,8 @@ def check(
         lost = None
         if reader.overruns > overruns:  # several recorders may be one file: which one lost frames is not looked at
             overruns = reader.overruns
-            lost = buses.lost("the controller of the recorder was overrun", record.time)
+            is_damage = "is damaged" in reader.last_skip
+            lost = buses.lost(reader.last_skip if is_damage else "the controller of the recorder was overrun", record.time)
         seconds, observation = buses.observe(record)
         findings = observation.findings if lost is None else (lost, *observation.findings)
         story = stories.get(record.channel)

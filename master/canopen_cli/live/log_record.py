@@ -15,7 +15,7 @@ from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing
 from canopen_cli.live.source import open_live_source
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, Settings, common, lasting
+from canopen_cli.shared.options import Duration, Settings, common, lasting, until_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -76,7 +76,7 @@ def record(
         try:
             async with time_left(screen, "recording", seconds):
                 with trio.move_on_after(math.inf if seconds is None else seconds):
-                    await _record(settings, screen, choice, files)
+                    await _record(settings, screen, choice, files, seconds)
         finally:
             files.close()
 
@@ -141,9 +141,9 @@ class _Files:
             writer.close()
 
 
-async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files) -> None:
+async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files, seconds: float | None) -> None:
     async with open_live_source(settings, None) as live:
-        screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; nothing is sent")
+        screen.say(f"[bold]{escape(live.name)}[/], {until_text(seconds)}; nothing is sent")
         buses = Buses(choice.files)
         async for heard in live:
             if not isinstance(heard, Record):

@@ -14,7 +14,7 @@ from canopen_cli.live.line_writer import LineWriter, open_line_writer
 from canopen_cli.live.source import Heard, LiveSource, no_file, open_live_source, recorded, tell_skipped
 from canopen_cli.live.window import Window, clocked
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, common, lasting, until_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -61,7 +61,7 @@ def monitor(
     """
     screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = FrameMonitor(settings, screen, choice, source, clock=clock)
+    watch = FrameMonitor(settings, screen, choice, source, clock=clock, seconds=seconds)
 
     async def show() -> None:
         try:
@@ -86,8 +86,11 @@ class FrameMonitor:
         window: Window | None = None,
         *,
         clock: bool = False,
+        seconds: float | None = None,
     ) -> None:
-        """window: what is shown of a recording; all of it is understood. clock: times of day in place of seconds."""
+        """window: what is shown of a recording; all of it is understood. clock: times of day in place of seconds. seconds: how
+        long a bus will be shown; None: until Ctrl-C."""
+        self._seconds = seconds
         self._window = Window() if window is None else window
         self._clock = clock
         self._settings = settings
@@ -98,6 +101,7 @@ class FrameMonitor:
         self._writer: LineWriter | None = None
         self._begin: Time | None = None
         self._frames = 0
+        self._in_window = 0
         self._shown = 0
         self._findings = 0
 
@@ -116,7 +120,7 @@ class FrameMonitor:
             if live.is_live:
                 self._begin = live.now()
                 how = "the adapter only listens" if live.is_silent else "nothing is sent"
-                self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
+                self._screen.say(f"[bold]{escape(live.name)}[/], {until_text(self._seconds)}; {how}")
             buses = Buses(self._choice.files, bitrate=live.bitrate or self._settings.told_bitrate() or 0)
             while (taken := await _next(live)) != []:
                 lines.measure()
@@ -137,6 +141,7 @@ class FrameMonitor:
             seconds, observation = buses.observe(heard)
             if not self._window.has(heard.time, self._begin):
                 return
+            self._in_window += 1
             self._findings += len(observation.findings)
             for summary in observation.summaries:
                 if self._choice.tells(summary):
@@ -173,6 +178,11 @@ class FrameMonitor:
         if self._live.lost:
             self._screen.say(f"[yellow]{counted(self._live.lost, 'frame')} lost before they came here[/]")
         self.tell_skipped()
+
+    def tell_passed_over(self) -> None:
+        """Tell how many frames of a recording were read, if none of them is shown: nothing would look like an empty file."""
+        if self._in_window and not self._shown:
+            self._screen.say(f"{counted(self._in_window, 'frame')} passed over: none is what was asked for")
 
     @property
     def has_heard_nothing(self) -> bool:

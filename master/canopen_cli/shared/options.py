@@ -292,18 +292,20 @@ class NodeIds(TextKind):
 
 
 class Duration(TextKind):
-    """A time: "500ms", "2s", "100us"; only 0 needs no unit. In ns."""
+    """A time: "500ms", "2s", "100us"; only 0 needs no unit. In ns. is_seconds: a number alone is seconds, as of `Seconds`."""
 
     name = "time"
 
-    def __init__(self, low: Time = MILLISECOND, high: Time = 24 * 3600 * 10**9) -> None:
+    def __init__(self, low: Time = MILLISECOND, high: Time = 24 * 3600 * 10**9, *, is_seconds: bool = False) -> None:
         self.low = low
         self.high = high
+        self.is_seconds = is_seconds
 
     def read(self, text: str) -> Time:
         from canopen_data.durations import parse_duration
 
-        time = parse_duration(text)
+        is_plain = self.is_seconds and _PLAIN.fullmatch(text.strip())
+        time = parse_duration(f"{text.strip()}s" if is_plain else text)
         if not self.low <= time <= self.high:
             raise ValueError(f"{text} is outside {_time_text(self.low)} to {_time_text(self.high)}")
         return time
@@ -436,6 +438,11 @@ def lasting(help_text: str = "End after this time, instead of by Ctrl-C: 10s.", 
     return click.option("--for", "--seconds", "seconds", type=Seconds(**bounds), help=help_text, **attributes)
 
 
+def until_text(seconds: float | None) -> str:
+    """Return how long a command goes on, for people. seconds: by --for."""
+    return "until Ctrl-C" if seconds is None else f"for {seconds:g} s"
+
+
 def enabling(command: F) -> F:
     """Add the option that commands have which enable drives."""
     from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
@@ -494,7 +501,7 @@ common: Final = option_group(
         help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
     ),
     _common_option("--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."),
-    _common_option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
+    _common_option("--timeout", type=Duration(is_seconds=True), help="For one answer of a node: 500ms, 2s; also 2, as --for."),
     _common_option(
         "--trace",
         type=click.Path(dir_okay=False, path_type=Path),

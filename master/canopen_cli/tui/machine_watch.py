@@ -110,6 +110,7 @@ class MachineWatch:
         self._nursery: trio.Nursery | None = None
         self._records: deque[Record] = deque(maxlen=MOST_WAITING)
         self._lines: deque[TrafficLine] = deque(maxlen=MOST_LINES)
+        self._older: deque[TrafficLine] = deque(maxlen=MOST_LINES)  # findings that are older than these lines
         self._events: deque[Plain] = deque(maxlen=MOST_EVENTS)
         self._frames = self._findings = 0
         self._objects: dict[ObjectPlace, ReadObject] = {}
@@ -161,9 +162,8 @@ class MachineWatch:
                 seconds = self._buses.seconds(self._trace.now())
                 for finding in findings:
                     self._add_finding(seconds, finding_text(finding), finding.node_id)
-                self._lines.extend(
-                    TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)) for each in summaries
-                )
+                for each in summaries:
+                    self._add_line(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
         left, self.left = self.left, 0
         if left:
             self._buses.lost(f"{counted(left, 'frame')} came too fast for this view", self._trace.now())
@@ -175,8 +175,8 @@ class MachineWatch:
             meaning = observation.meaning
             self._frames += 1
             for each in observation.summaries:
-                self._lines.append(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
-            self._lines.append(
+                self._add_line(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
+            self._add_line(
                 TrafficLine(
                     LineKind.FRAME, seconds, str(record.frame), clean(meaning.service), meaning.node_id or 0, clean(meaning.text)
                 )
@@ -184,9 +184,15 @@ class MachineWatch:
             for finding in observation.findings:
                 self._add_finding(seconds, finding_text(finding), finding.node_id)
 
+    def _add_line(self, line: TrafficLine) -> None:
+        """Add a line. Findings stay when frames have taken their places: they are counted in the header."""
+        if len(self._lines) == MOST_LINES and self._lines[0].kind is LineKind.FINDING:
+            self._older.append(self._lines[0])
+        self._lines.append(line)
+
     def _add_finding(self, seconds: float, text: str, node_id: int) -> None:
         self._findings += 1
-        self._lines.append(TrafficLine(LineKind.FINDING, seconds, "", "", node_id, text))
+        self._add_line(TrafficLine(LineKind.FINDING, seconds, "", "", node_id, text))
 
     def _watch_heartbeats(self, watched: set[NodePlace]) -> None:
         """Be told of the states of nodes that have a heartbeat; and know each by its own file."""
@@ -209,7 +215,7 @@ class MachineWatch:
             names=dict(self._names),
             events=tuple(self._events),
             lease=lease_data(self.service),
-            traffic=tuple(self._lines),
+            traffic=(*self._older, *self._lines),
             frames=self._frames,
             findings=self._findings,
             rate=rate,
