@@ -174,6 +174,14 @@ SERVICE_MUTANTS: Final = tuple(
             CONTENTION,
         ),
         (
+            "one_limit_for_all_waits",
+            _SDO_CLIENT,
+            "if self._collided_at > -NEVER or self._contested_since < NEVER:",
+            "if self._collided_at > -NEVER:",
+            "a drive that is polled is given up in motion, because another client read something 3 s before",
+            CONTENTION,
+        ),
+        (
             "contested_write_is_harmless",
             _SDO_CLIENT,
             "AbortOrigin.CONTESTED, transfer.is_download)",

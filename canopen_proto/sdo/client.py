@@ -302,6 +302,8 @@ class SdoClient(ChannelEnd):
         self._queue.remove(transfer)
         self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED, False)
         if self._transfer is None:
+            if not self._queue.waits:
+                self._contested_since = NEVER
             self._begin_next(now)  # copy_guard may have held back the one that is gone
         return True
 
@@ -607,8 +609,9 @@ class SdoClient(ChannelEnd):
             self._contested_since = NEVER
         return False
 
-    def _after_collision(self, transfer: Transfer, now: Time) -> None:
-        """A transfer of ours is over, and strangers have ended others before: if it went well, let one of them go first now."""
+    def _after_contest(self, transfer: Transfer, now: Time) -> None:
+        """A transfer of ours is over, and strangers have made others wait, or ended them: if it went well, the next wait has its
+        whole limit. After a collision one of the strangers goes first now."""
         if transfer.is_given_up:
             return
         self._tries = 0
@@ -714,8 +717,8 @@ class SdoClient(ChannelEnd):
         self.deadline = NEVER
         queue = self._queue
         queue.remember(transfer, self.last, now)
-        if self._collided_at > -NEVER:
-            self._after_collision(transfer, now)
+        if self._collided_at > -NEVER or self._contested_since < NEVER:
+            self._after_contest(transfer, now)
         if queue.urgent or queue.others or self._abandoned is not None:
             self._begin_next(now)
 

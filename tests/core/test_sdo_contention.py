@@ -198,6 +198,33 @@ def test_a_stranger_that_never_ends_is_named_after_the_limit() -> None:
     assert bench.frames() == []
 
 
+def test_each_wait_for_a_stranger_has_its_own_limit_however_long_ago_the_one_before_was() -> None:
+    bench = Shared()
+    for _ in range(3):  # a drive is polled, while somebody looks at it every two seconds
+        bench.other(FOREIGN_READ)
+        request = bench.client.upload(0x6041, 0, bench.now)
+        assert bench.frames() == []
+        bench.hear("4F 01 10 00 05 00 00 00")
+        assert bench.frames() == ["60C#4041600000000000"]
+        bench.hear("4B 41 60 00 37 02 00 00")
+        assert bench.outcomes() == [SdoUploaded(12, request, 0x6041, 0, b"\x37\x02")]
+        bench.wait(2 * SECOND)
+
+
+def test_a_wait_that_was_cancelled_does_not_shorten_the_next_one() -> None:
+    bench = Shared()
+    bench.other(FOREIGN_READ)
+    bench.client.cancel(bench.client.upload(0x6041, 0, bench.now), bench.now)
+    bench.outcomes()
+    bench.hear("4F 01 10 00 05 00 00 00")
+    bench.wait(CONTEST_LIMIT)
+    bench.other(FOREIGN_READ)
+    bench.client.upload(0x6041, 0, bench.now)
+    assert bench.outcomes() == []
+    bench.hear("4F 01 10 00 05 00 00 00")
+    assert bench.frames() == ["60C#4041600000000000"]
+
+
 def test_an_urgent_request_does_not_wait() -> None:
     bench = Shared()
     bench.other("C6 50 1F 01 00 00 10 00", "01 00 00 00 00 00 00 00")
