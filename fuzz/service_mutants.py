@@ -182,6 +182,22 @@ SERVICE_MUTANTS: Final = tuple(
             CONTENTION,
         ),
         (
+            "urgent_read_given_up",
+            _SDO_CLIENT,
+            "            transfer.is_urgent = self._tries < MAX_URGENT_TRIES",
+            "            again = again if self._tries < MAX_URGENT_TRIES else None",
+            "a motion is given up at once because another client reads the same object",
+            CONTENTION,
+        ),
+        (
+            "urgent_success_does_not_count",
+            _SDO_CLIENT,
+            "        if not transfer.is_urgent or not self._queue.others:",
+            "        if not transfer.is_urgent:",
+            "a motion whose reads are all urgent is given up 3 s after another client first disturbed one",
+            CONTENTION,
+        ),
+        (
             "contested_write_is_harmless",
             _SDO_CLIENT,
             "AbortOrigin.CONTESTED, transfer.is_download)",

@@ -101,7 +101,8 @@ CONTEST_LIMIT: Final = 3 * SECOND
 """How long requests wait for another client on the channel, or are made again because of it, before they end as CONTESTED. A
 client that reads value by value is done with each at once; a download of firmware takes longer than anybody wants to wait."""
 MAX_URGENT_TRIES: Final = 3
-"""How often an urgent read goes out, at once each time, while another client disturbs it."""
+"""How often an urgent read goes out, at once each time, while another client disturbs it. Then it waits for that client, as one
+that is not urgent: more reads at once would only meet the answers to those before."""
 MAX_QUEUE: Final = 256
 """Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
 MAX_UPLOAD: Final = 16 << 20
@@ -578,7 +579,7 @@ class SdoClient(ChannelEnd):
         again = None if transfer.is_download else transfer.again()
         if again is not None and transfer.is_urgent:
             self._tries += 1
-            again = again if self._tries < MAX_URGENT_TRIES else None
+            transfer.is_urgent = self._tries < MAX_URGENT_TRIES  # then it waits for the stranger, as others do
         if again is None or now >= since + self.contest_limit:
             self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.CONTESTED, transfer.is_download)
             return
@@ -615,8 +616,9 @@ class SdoClient(ChannelEnd):
         if transfer.is_given_up:
             return
         self._tries = 0
-        if not transfer.is_urgent:
+        if not transfer.is_urgent or not self._queue.others:
             self._contested_since = NEVER
+        if not transfer.is_urgent:
             if now < self._collided_at + self.contest_limit:
                 self.other.goes_first(now)
             else:
