@@ -71,6 +71,13 @@ def test_an_object_that_is_refused_does_not_hide_those_that_were_read(run: Run) 
     assert run("read", "3", "2FFF:02", "2FFF:03", "--type", "u16", *DEMO).status == ExitCode.SDO_ABORT
 
 
+def test_a_type_that_the_dictionary_knows_better_is_not_ignored_silently(run: Run) -> None:
+    told = " ".join(run("read", "3", "6064", "--type", "u16", *DEMO).err.split())
+    assert "6064:00 is INTEGER32 in the dictionary: --type u16 does not count for it" in told
+    assert "does not count" not in run("read", "3", "6064", "--type", "i32", *DEMO).err
+    assert "-e FILE" in run("read", "3", "2FFF:02", *DEMO).err
+
+
 @pytest.mark.parametrize("nodes", ["3-5", "3,4", "all"])
 def test_several_nodes_are_read_one_at_a_time(run: Run, nodes: str) -> None:
     outcome = run("read", nodes, "6041", *DEMO)

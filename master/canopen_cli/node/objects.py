@@ -223,6 +223,7 @@ async def _read(
     async with _way(settings, screen, request, writes=False) as way:
         variables = [find_object(way.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
+            _tell_other_type(screen, way.dictionary, variable, request)
             _check_readable(variable)
         readings: list[ObjectReading] = []
         refused: list[tuple[Variable, SdoRefusedError]] = []
@@ -244,6 +245,15 @@ async def _read_file(
         variable = find_object(node.dictionary, key, request.type_name or BYTES)
         _check_readable(variable)
         return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
+
+
+def _tell_other_type(screen: Screen, dictionary: ObjectDictionary, variable: Variable, request: AccessRequest) -> None:
+    """Say that the dictionary has another type than the command line, and that its type is taken."""
+    if request.type_name is None or dictionary.get(variable.index, variable.subindex) is None:
+        return
+    if variable.data_type is not TYPES[request.type_name]:
+        known = f"{place_text(variable)} is {variable.data_type.name} in the dictionary"
+        screen.say(f"[yellow]{known}: --type {request.type_name} does not count for it[/]")
 
 
 def _check_readable(variable: Variable) -> None:
@@ -336,6 +346,7 @@ async def _write(
     async with _way(settings, screen, request, writes=True) as way:
         node_id, dictionary = request.node_id, way.dictionary
         variable = find_object(dictionary, key, request.type_name)
+        _tell_other_type(screen, dictionary, variable, request)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)
         variable.check_limits(value)
