@@ -78,6 +78,17 @@ def test_a_type_that_the_dictionary_knows_better_is_not_ignored_silently(run: Ru
     assert "-e FILE" in run("read", "3", "2FFF:02", *DEMO).err
 
 
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("write", "3", "controlword", "enable"), "did you mean sm_enable_operation"),
+        (("read", "3", "position"), "did you mean position_actual_value"),
+    ],
+)
+def test_a_word_of_a_name_leads_to_the_names_that_have_it(run: Run, words: tuple[str, ...], meant: str) -> None:
+    assert meant in " ".join(run(*words, *DEMO).err.split())
+
+
 @pytest.mark.parametrize("nodes", ["3-5", "3,4", "all"])
 def test_several_nodes_are_read_one_at_a_time(run: Run, nodes: str) -> None:
     outcome = run("read", nodes, "6041", *DEMO)
