@@ -435,8 +435,8 @@ def _number_in(text: str) -> int | None:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return the end of an error text: "; did you mean ...?" for similar names, else all names if there are few, else "". known:
-    the names that exist."""
+    """Return the end of an error text: "; did you mean ...?" for names that hold this one as a word, and for similar ones; else
+    all names if there are few, else "". known: the names that exist."""
     import difflib  # only a wrong name needs it
 
     if len(name) > MAX_NAME_COMPARED:
@@ -444,7 +444,13 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     names = list(dict.fromkeys(known))
     whole = {each.casefold(): each for each in reversed(names)}
     fields = {each.casefold().rpartition(":")[2]: each for each in reversed(names)}
-    near = difflib.get_close_matches(name.casefold(), [*whole, *fields], n=3, cutoff=0.6)
+    own = name.casefold()
+    holding = [
+        each for each in map(str.casefold, names) if f"_{own}_" in f"_{each.replace(':', '_')}_"
+    ]  # "position" is a word of these
+    holding.sort(key=lambda each: not each.endswith("_actual_value"))
+    alike = difflib.get_close_matches(own, [*whole, *fields], n=3, cutoff=0.6)
+    near = list(dict.fromkeys([*holding[:2], *alike]))[:3]
     if near:
         return f"; did you mean {' or '.join(dict.fromkeys(whole.get(each) or fields[each] for each in near))}?"
     return f"; there are {', '.join(names)}" if 0 < len(names) <= 8 else ""

@@ -101,7 +101,8 @@ CONTEST_LIMIT: Final = 3 * SECOND
 """How long requests wait for another client on the channel, or are made again because of it, before they end as CONTESTED. A
 client that reads value by value is done with each at once; a download of firmware takes longer than anybody wants to wait."""
 MAX_URGENT_TRIES: Final = 3
-"""How often an urgent read goes out, at once each time, while another client disturbs it."""
+"""How often an urgent read goes out, at once each time, while another client disturbs it. Then it waits for that client, as one
+that is not urgent: more reads at once would only meet the answers to those before."""
 MAX_QUEUE: Final = 256
 """Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
 MAX_UPLOAD: Final = 16 << 20
@@ -302,6 +303,8 @@ class SdoClient(ChannelEnd):
         self._queue.remove(transfer)
         self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED, False)
         if self._transfer is None:
+            if not self._queue.waits:
+                self._contested_since = NEVER
             self._begin_next(now)  # copy_guard may have held back the one that is gone
         return True
 
@@ -576,7 +579,7 @@ class SdoClient(ChannelEnd):
         again = None if transfer.is_download else transfer.again()
         if again is not None and transfer.is_urgent:
             self._tries += 1
-            again = again if self._tries < MAX_URGENT_TRIES else None
+            transfer.is_urgent = self._tries < MAX_URGENT_TRIES  # then it waits for the stranger, as others do
         if again is None or now >= since + self.contest_limit:
             self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.CONTESTED, transfer.is_download)
             return
@@ -607,13 +610,15 @@ class SdoClient(ChannelEnd):
             self._contested_since = NEVER
         return False
 
-    def _after_collision(self, transfer: Transfer, now: Time) -> None:
-        """A transfer of ours is over, and strangers have ended others before: if it went well, let one of them go first now."""
+    def _after_contest(self, transfer: Transfer, now: Time) -> None:
+        """A transfer of ours is over, and strangers have made others wait, or ended them: if it went well, the next wait has its
+        whole limit. After a collision one of the strangers goes first now."""
         if transfer.is_given_up:
             return
         self._tries = 0
-        if not transfer.is_urgent:
+        if not transfer.is_urgent or not self._queue.others:
             self._contested_since = NEVER
+        if not transfer.is_urgent:
             if now < self._collided_at + self.contest_limit:
                 self.other.goes_first(now)
             else:
@@ -714,8 +719,8 @@ class SdoClient(ChannelEnd):
         self.deadline = NEVER
         queue = self._queue
         queue.remember(transfer, self.last, now)
-        if self._collided_at > -NEVER:
-            self._after_collision(transfer, now)
+        if self._collided_at > -NEVER or self._contested_since < NEVER:
+            self._after_contest(transfer, now)
         if queue.urgent or queue.others or self._abandoned is not None:
             self._begin_next(now)
 

@@ -57,6 +57,45 @@ def test_read_several_objects_by_number_and_as_json(run: Run) -> None:
     assert run("read", "3", "6041", *DEMO, "--json").json["node"] == 3
 
 
+def test_an_object_that_is_refused_does_not_hide_those_that_were_read(run: Run) -> None:
+    keys = ("6041", "2FFF:02", "6064")
+    outcome = run("read", "3", *keys, "--type", "u16", *DEMO)
+    assert outcome.status == ExitCode.PARTIAL
+    assert [line.split()[0] for line in outcome.out.splitlines()[-2:]] == ["6041:00", "6064:00"]
+    told = " ".join(outcome.err.split())
+    assert "not read: 2FFF:02" in told
+    assert "0x06020000" in told
+    outcome = run("read", "3", "6041", "2FFF:02", "--type", "u16", "--json", *DEMO)
+    assert outcome.status == ExitCode.PARTIAL
+    assert [document["name"] for document in outcome.json] == ["statusword"], "a list, because two were asked for"
+    assert run("read", "3", "2FFF:02", "2FFF:03", "--type", "u16", *DEMO).status == ExitCode.SDO_ABORT
+
+
+def test_a_type_that_the_dictionary_knows_better_is_not_ignored_silently(run: Run) -> None:
+    told = " ".join(run("read", "3", "6064", "--type", "u16", *DEMO).err.split())
+    assert "6064:00 is INTEGER32 in the dictionary: --type u16 does not count for it" in told
+    assert "does not count" not in run("read", "3", "6064", "--type", "i32", *DEMO).err
+    assert "-e FILE" in run("read", "3", "2FFF:02", *DEMO).err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("write", "3", "controlword", "enable"), "did you mean sm_enable_operation"),
+        (("read", "3", "position"), "did you mean position_actual_value"),
+    ],
+)
+def test_a_word_of_a_name_leads_to_the_names_that_have_it(run: Run, words: tuple[str, ...], meant: str) -> None:
+    assert meant in " ".join(run(*words, *DEMO).err.split())
+
+
+@pytest.mark.parametrize("nodes", ["3-5", "3,4", "all"])
+def test_several_nodes_are_read_one_at_a_time(run: Run, nodes: str) -> None:
+    outcome = run("read", nodes, "6041", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "one node at a time" in outcome.err
+
+
 def test_a_communication_object_that_the_dictionary_lacks_has_the_type_of_the_standard(run: Run) -> None:
     outcome = run("read", "3", "1F56:01", *DEMO)
     assert "refused reading 1F56:01" in outcome.err

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import trio
 
+from canopen_cli.bus.scan import nobody_there
 from canopen_cli.shared import session
 from canopen_cli.shared.failures import advice, problem_of
 from canopen_cli.shared.problem import CommandError, ExitCode
@@ -141,9 +142,22 @@ def test_what_else_a_passive_scan_heard(run: Run, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_scan_on_a_bus_without_nodes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "Nothing at all was heard. Is anybody there, with power and the same bit rate?" in run("scan", *ON_BUS).err
+    told = " ".join(run("scan", *ON_BUS).err.split())
+    assert "Nothing at all was heard. Is anybody there, with power?" in told
+    assert "Devices that have no node-ID yet are silent, and found by canopen lss scan." in told
+    assert "bit rate" not in told, "a bus in software has none"
+    assert "acknowledge" not in told
     populate(monkeypatch, saying((0.1, "7E4#5000000000000000")))
     assert "Devices that have no node-ID yet are not found" in run("scan", *ON_BUS).err
+
+
+def test_a_scan_of_a_silent_wire_speaks_of_the_bit_rate_too() -> None:
+    told = nobody_there("socketcan:can0")
+    assert "Is anybody there, with power and the same bit rate?" in told
+    assert "canopen lss scan" in told
+    assert "virtual" not in told
+    for software in ("tcp:localhost:29000", "virtual:x", "demo"):
+        assert "bit rate" not in nobody_there(software)
 
 
 # ---- the next command ----

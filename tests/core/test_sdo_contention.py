@@ -198,6 +198,70 @@ def test_a_stranger_that_never_ends_is_named_after_the_limit() -> None:
     assert bench.frames() == []
 
 
+def test_each_wait_for_a_stranger_has_its_own_limit_however_long_ago_the_one_before_was() -> None:
+    bench = Shared()
+    for _ in range(3):  # a drive is polled, while somebody looks at it every two seconds
+        bench.other(FOREIGN_READ)
+        request = bench.client.upload(0x6041, 0, bench.now)
+        assert bench.frames() == []
+        bench.hear("4F 01 10 00 05 00 00 00")
+        assert bench.frames() == ["60C#4041600000000000"]
+        bench.hear("4B 41 60 00 37 02 00 00")
+        assert bench.outcomes() == [SdoUploaded(12, request, 0x6041, 0, b"\x37\x02")]
+        bench.wait(2 * SECOND)
+
+
+STATUSWORD, STATUS = "60C#4041600000000000", "4B 41 60 00 37 02 00 00"
+
+
+def test_an_urgent_read_that_was_disturbed_by_a_reader_is_made_again_behind_it_and_holds_no_stop() -> None:
+    bench = Shared()
+    request = bench.client.upload(0x6041, 0, bench.now, urgent=True)
+    bench.other("40 41 60 00 00 00 00 00")  # the same object: whose answer is it?
+    assert bench.frames().count(STATUSWORD) == 2
+    bench.hear(STATUS, STATUS)
+    assert bench.outcomes() == []
+    bench.client.download(0x6040, 0, b"\x02\0", bench.now, urgent=True)
+    frames = bench.frames()
+    assert "60C#2B40600002000000" in frames, "a stop goes out at once"
+    bench.hear(STATUS, "60 40 60 00 00 00 00 00")
+    bench.outcomes()
+    for _ in range(100):
+        if bench.client.busy:
+            bench.wait(20 * MILLISECOND)
+            bench.hear(*(STATUS for frame in bench.frames() if frame == STATUSWORD))
+    assert bench.outcomes() == [SdoUploaded(12, request, 0x6041, 0, b"\x37\x02")]
+
+
+def test_urgent_reads_that_went_well_leave_the_next_one_its_whole_limit() -> None:
+    bench = Shared()
+    for _ in range(3):  # a motion only reads, and all of it is urgent
+        request = bench.client.upload(0x6041, 0, bench.now, urgent=True)
+        bench.hear("41 41 60 00 08 00 00 00")
+        bench.other(FOREIGN_READ)
+        bench.hear("4F 01 10 00 05 00 00 00", STATUS)
+        while bench.client.busy:
+            bench.wait(20 * MILLISECOND)
+            bench.hear(*(STATUS for frame in bench.frames() if frame == STATUSWORD))
+        assert bench.outcomes() == [SdoUploaded(12, request, 0x6041, 0, b"\x37\x02")]
+        bench.frames()
+        bench.wait(2 * SECOND)
+
+
+def test_a_wait_that_was_cancelled_does_not_shorten_the_next_one() -> None:
+    bench = Shared()
+    bench.other(FOREIGN_READ)
+    bench.client.cancel(bench.client.upload(0x6041, 0, bench.now), bench.now)
+    bench.outcomes()
+    bench.hear("4F 01 10 00 05 00 00 00")
+    bench.wait(CONTEST_LIMIT)
+    bench.other(FOREIGN_READ)
+    bench.client.upload(0x6041, 0, bench.now)
+    assert bench.outcomes() == []
+    bench.hear("4F 01 10 00 05 00 00 00")
+    assert bench.frames() == ["60C#4041600000000000"]
+
+
 def test_an_urgent_request_does_not_wait() -> None:
     bench = Shared()
     bench.other("C6 50 1F 01 00 00 10 00", "01 00 00 00 00 00 00 00")

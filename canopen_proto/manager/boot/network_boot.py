@@ -73,10 +73,10 @@ LOOK: Final = 100 * MILLISECOND
 class LossResponse(StrEnum):
     """What the master has sent because of a lost node, in words."""
 
-    RESET = "it was reset"
-    RESET_ALL = "all nodes were reset"
-    STOP_ALL = "all nodes were stopped"
-    NONE = "nothing was sent"
+    RESET = "the master has sent it a reset"
+    RESET_ALL = "the master has reset all nodes"
+    STOP_ALL = "the master has stopped all nodes"
+    NONE = "the master has sent nothing"
 
 
 _FOR_ALL: Final = (LossResponse.STOP_ALL, LossResponse.RESET_ALL)

@@ -9,7 +9,7 @@ import click
 import trio
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from canopen_cli.shared.options import NodeIds, Settings, common, lasting
+from canopen_cli.shared.options import DEMO, NodeIds, Settings, common, lasting
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
@@ -78,8 +78,8 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, se
     return ExitCode.OK if found else ExitCode.NO_ANSWER
 
 
-def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
-    """Tell what else was heard; if nothing was heard, what may be wrong."""
+def _remark(network: Network, found: Sequence[NodeFound], passive: bool, bus: str) -> str:
+    """Tell what else was heard; if nothing was heard, what may be wrong. bus: its locator."""
     rest = set(ALL_NODE_IDS) - {node.node_id for node in found}
     others = [network.heard(node_id) for node_id in sorted(rest)]
     text = "".join(f"; heard, by {each.service.value}: {node_text(each.node_id)}" for each in others if each.service is not None)
@@ -96,9 +96,16 @@ def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
         return f"{text}. Nodes without a heartbeat are silent: the same without --passive asks them."
     if network.last_heard is not None:
         return f"{text}. Devices that have no node-ID yet are not found: canopen lss scan."
-    return (
-        f"{text}. Is anybody there, with power and the same bit rate? One device alone needs a second to acknowledge its frames."
-    )
+    return f"{text}. {nobody_there(bus)}"
+
+
+def nobody_there(bus: str) -> str:
+    """Return what may be wrong with a bus on which nothing was heard. bus: its locator; one in software has no bit rate."""
+    if bus == DEMO or bus.partition(":")[0] in ("virtual", "tcp", "file"):
+        asked = "Is anybody there, with power?"
+    else:
+        asked = "Is anybody there, with power and the same bit rate? One device alone needs a second to acknowledge its frames."
+    return f"{asked} Devices that have no node-ID yet are silent, and found by canopen lss scan."
 
 
 async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
@@ -120,7 +127,7 @@ async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ..
         for each in rows:
             if session.network.heard(each.node_id).second_answer is not None:
                 each.remark = "; ".join(filter(None, (f"two devices answer as node {each.node_id}", each.remark)))
-        return rows, _remark(session.network, rows, not node_ids)
+        return rows, _remark(session.network, rows, not node_ids, settings.named_bus() or "")
 
 
 async def _find_over_text(settings: Settings, screen: Screen, node_ids: Sequence[int]) -> tuple[list[NodeFound], str]:

@@ -231,7 +231,7 @@ def _event_text(chosen: ChosenNetwork, network: BusNetwork, event: Event) -> str
         case BootEnded(outcome=outcome):
             return _line(chosen, network, outcome)
         case NodeLost(node_id=node_id, reaction=reaction):
-            return f"{chosen.place(network, node_id)}: node {node_id} is lost; {reaction}"
+            return f"{chosen.place(network, node_id)}: node {node_id} has shown no sign of life in time, and is lost; {reaction}"
         case NodeSupervised(node_id=node_id, timeout=0):
             return f"{chosen.place(network, node_id)}: it answers, but sends no heartbeats: it is not supervised now"
         case NodeSupervised(node_id=node_id, timeout=timeout):

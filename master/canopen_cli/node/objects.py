@@ -33,6 +33,7 @@ from canopen_cli.shared.values import (
     place_text,
     value_text,
 )
+from canopen_master.errors import SdoRefusedError
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -112,8 +113,8 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
 @common
 def read(
     settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None, output: str | None
-) -> None:
-    """Read objects of a node.
+) -> int:
+    """Read objects of a node. Exit status 7: the node refused some of them.
 
     An OBJECT is a name (statusword, identity_object:vendor_id) or a number in hexadecimal (6041, 0x6041, 60C1:01).
 
@@ -133,14 +134,17 @@ def read(
         with new_file(output) as file:  # opening a pipe waits for its reader: do it here, where Ctrl-C ends the wait
             taken = run(settings, screen, lambda: _read_file(settings, screen, request, keys[0], output, file))
         _tell_file(settings, screen, taken, "→")
-        return
-    readings = run(settings, screen, lambda: _read(settings, screen, request, keys), over_text=True)
+        return ExitCode.OK
+    readings, refused = run(settings, screen, lambda: _read(settings, screen, request, keys), over_text=True)
     if settings.json:
         documents = [reading.as_json() for reading in readings]
-        screen.json(documents if len(documents) > 1 else documents[0])
+        screen.json(documents if len(keys) > 1 else documents[0])
     else:
         screen.say(f"[bold]{node_text(node_id)}[/]")
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
+    for place, why in refused:
+        screen.say(f"[yellow]not read: {place}: {escape(why)}[/]")
+    return ExitCode.PARTIAL if refused else ExitCode.OK
 
 
 class ObjectWay(Protocol):
@@ -212,12 +216,25 @@ async def _way(settings: Settings, screen: Screen, request: AccessRequest, *, wr
         yield _OverBus(session.node(request.node_id), request.block)
 
 
-async def _read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...]) -> list[ObjectReading]:
+async def _read(
+    settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...]
+) -> tuple[list[ObjectReading], list[tuple[str, str]]]:
+    """Return what was read, and which objects the node refused, with the reason. Raises the first refusal if nothing was read."""
     async with _way(settings, screen, request, writes=False) as way:
         variables = [find_object(way.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
+            _tell_other_type(screen, way.dictionary, variable, request)
             _check_readable(variable)
-        return [await way.read(variable) for variable in variables]
+        readings: list[ObjectReading] = []
+        refused: list[tuple[Variable, SdoRefusedError]] = []
+        for variable in variables:
+            try:
+                readings.append(await way.read(variable))
+            except SdoRefusedError as error:
+                refused.append((variable, error))
+        if not readings:
+            raise refused[0][1]
+        return readings, [(place_text(variable), f"{error.failed}: {error.seen}") for variable, error in refused]
 
 
 async def _read_file(
@@ -228,6 +245,15 @@ async def _read_file(
         variable = find_object(node.dictionary, key, request.type_name or BYTES)
         _check_readable(variable)
         return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
+
+
+def _tell_other_type(screen: Screen, dictionary: ObjectDictionary, variable: Variable, request: AccessRequest) -> None:
+    """Say that the dictionary has another type than the command line, and that its type is taken."""
+    if request.type_name is None or dictionary.get(variable.index, variable.subindex) is None:
+        return
+    if variable.data_type is not TYPES[request.type_name]:
+        known = f"{place_text(variable)} is {variable.data_type.name} in the dictionary"
+        screen.say(f"[yellow]{known}: --type {request.type_name} does not count for it[/]")
 
 
 def _check_readable(variable: Variable) -> None:
@@ -320,6 +346,7 @@ async def _write(
     async with _way(settings, screen, request, writes=True) as way:
         node_id, dictionary = request.node_id, way.dictionary
         variable = find_object(dictionary, key, request.type_name)
+        _tell_other_type(screen, dictionary, variable, request)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)
         variable.check_limits(value)

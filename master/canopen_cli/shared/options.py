@@ -207,6 +207,10 @@ class TextKind(Kind):
             self.fail(str(error), param, ctx)
 
 
+_SEVERAL: Final = re.compile(r"all|\d+([-,]\d+)+")
+"""A text that means several nodes."""
+
+
 class NodeId(Kind):
     """A node-ID: decimal, or hexadecimal with 0x. With a machine file also the name of a joint or a node."""
 
@@ -220,6 +224,8 @@ class NodeId(Kind):
         try:
             return node_id_of(str(value)) if settings is None else settings.node_id(str(value), any_axis=self.any_axis)
         except CommandError as error:
+            if _SEVERAL.fullmatch(str(value)):
+                error.tries = ("the same for each of them: this command is about one node at a time",)
             if ctx is not None and Path(str(value)).suffix and any("--log" in each.opts for each in ctx.command.params):
                 error.tries = (f"--log {value}    (if it is a recording)", *error.tries)
             raise

@@ -106,7 +106,10 @@ def find_object(dictionary: ObjectDictionary, key: str, type_name: str | None) -
         if type_name is None and standard is not None:
             return standard
         if type_name is None:
-            tries = [f"--type u16 (or another type) to reach {key} all the same"]
+            tries = [
+                "-e FILE    (the EDS or DCF of the device, which may name it)",
+                f"--type u16 (or another type) to reach {key} all the same",
+            ]
             record = dictionary.objects.get(place[0])
             if record is not None and not subindex:
                 tries.insert(0, f"{index.upper()}:{min(record.variables):02X}    (a subindex of it)")
