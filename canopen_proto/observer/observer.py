@@ -128,7 +128,8 @@ class Observer:
 
     dictionary_of: returns the dictionary of a node-ID, or None. bitrate: bit/s; 0 if it is not known: then no look at the load.
     drives: nodes of which it is known otherwise that they are drives: PDOs.csv may describe their PDOs (pdo.py). load_limit:
-    share of the bit rate, 0 to 1, above which the load is a finding.
+    share of the bit rate, 0 to 1, above which the load is a finding. exact: the times are those of the bus itself, as in a
+    simulation whose frames take no time; else frames that come closer than any bus brings them were queued (AT_ONCE).
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class Observer:
         bitrate: int = 0,
         load_limit: float = LOAD_LIMIT,
         drives: Iterable[int] = (),
+        exact: bool = False,
     ) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in ALL_NODE_IDS}
         self._parameters = ObservedParameters(self._dictionaries)
@@ -148,6 +150,7 @@ class Observer:
         self._routes: dict[RoutingKey, _Route] = {}  # those that were needed since the last change
         self._assigned: dict[RoutingKey, _Route] | None = None  # those that parameters say
         self._gaps = Gaps()
+        self._is_exact = exact
         self._nodes = NodeRules(self._gaps)
         self._services = ServiceRules(self._gaps)
         self._timings = PdoTimings(self._nodes.is_operational, self._gaps)
@@ -168,7 +171,7 @@ class Observer:
 
     def observe(self, frame: Frame, now: Time) -> Observation:
         """Return what a frame means, and what is wrong. Frames come in order. now: ns; an earlier one counts as the last."""
-        self._gaps.is_at_once = now - self._now < AT_ONCE
+        self._gaps.is_at_once = not self._is_exact and now - self._now < AT_ONCE
         if now > self._now:
             self._now = now
         else:

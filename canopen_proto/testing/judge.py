@@ -61,7 +61,7 @@ class Judge:
     def witnessed(self) -> list[Witnessed]:
         """Return all frames so far, with what is to say of them."""
         if self._observer is None:
-            self._observer = Observer(self._names)
+            self._observer = Observer(self._names, exact=True)
         for passed in self._trace[len(self._witnessed) :]:
             observation = self._observer.observe(passed.frame, passed.time) if passed.was_heard else None
             self._witnessed.append(Witnessed(passed, observation))

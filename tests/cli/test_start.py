@@ -133,8 +133,8 @@ NOT_FOR_A_READ = (
     "canopen_transports.log_files",
     "tomllib",
 )
-OURS_AT_MOST = 260
-"""Modules of ours that a read imports; 257 when this was written."""
+OURS_AT_MOST = 264
+"""Modules of ours that a read imports; 261 when this was written."""
 
 
 def test_a_read_on_a_bus_of_ours_imports_nothing_of_other_buses_of_chains_and_of_errors() -> None:

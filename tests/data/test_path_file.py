@@ -68,8 +68,11 @@ def test_the_forms_of_a_csv(text: str) -> None:
                 "p.csv:6:6: error: this row has 3 columns",
             ],
         ),
-        ("time,a\n0,0\n1e-200,1\n", ["p.csv: error: The times of waypoints must rise by 1e-09 s or more"]),
-        ("time,a\n0,0\n1e-8,1e300\n", ["p.csv: error: Segment 0 of joint 0"]),
+        ("time,a\n0,0\n1e-200,1\n", ["p.csv: error: The times of waypoints must rise by 1e-09 s to 1e+15 s"]),
+        (
+            "time,a\n0,0\n1e-8,1e300\n",
+            ["p.csv: error: Row 1 (counted from 0) of the positions has a value that is no finite"],
+        ),
     ],
 )
 def test_everything_wrong_is_told_at_once_with_its_place(text: str, expected: list[str]) -> None:

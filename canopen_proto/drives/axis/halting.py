@@ -222,8 +222,9 @@ def _account(axis: Axis, error: ProcedureError) -> Procedure[str]:
     """Return what is to be said of a halt that failed: whether the drive has its halt bit all the same, and power."""
     failed = f"and the halt of {name_of(axis)} failed: {error}"
     try:
-        word = yield from read_number(axis.node, objects.CONTROLWORD)
+        # the controlword would be read behind the late answer to the halt only, also of a drive that is silent
         statusword = yield from read_number(axis.node, objects.STATUSWORD)
+        word = yield from read_number(axis.node, objects.CONTROLWORD)
     except ProcedureError:
         return failed  # it is silent: nothing is known
     if statusword is None:
