@@ -59,7 +59,7 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "observer_queue_is_a_copy",
             _OBSERVER,
-            "self._gaps.is_at_once = now - self._now < AT_ONCE",
+            "self._gaps.is_at_once = not self._is_exact and now - self._now < AT_ONCE",
             "self._gaps.is_at_once = False",
             "frames that a late reader took from its queue at once are told as copies",
             FRAMES,
