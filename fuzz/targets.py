@@ -94,7 +94,7 @@ def sdo_client(data: bytes) -> None:
         else:
             _ask(client, open_requests, step[1] % 8, step[1] >> 3, now)
         settle()
-    for _ in range(3 * len(open_requests) + 2):  # nobody answers: each waits for the guards of those before, and for a stranger
+    for _ in range(9 * len(open_requests) + 9):  # nobody answers: each waits for guards, and for strangers
         now = _wake(client, now, max(now, client.deadline)) if client.busy else now
         settle()
     assert not client.busy

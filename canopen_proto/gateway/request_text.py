@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import range_of
 from canopen_proto.frame import MAX_NODE_ID
-from canopen_proto.gateway.answer import GatewayAnswer
+from canopen_proto.gateway.answer import GatewayAnswer, one_line
 from canopen_proto.gateway.codes import GatewayCode, code_text
 from canopen_proto.gateway.dialect import CANOPENNODE, Dialect
 from canopen_proto.gateway.request import (
@@ -54,7 +54,7 @@ class _NotARequest(Exception):
     def __init__(self, code: GatewayCode = GatewayCode.SYNTAX, why: str = "") -> None:
         super().__init__(code.name)
         self.code = code
-        self.remark = f"{code_text(code)} {why}" if why else ""
+        self.remark = one_line(f"{code_text(code)} {why}") if why else ""
 
 
 def _spellings() -> dict[tuple[str, ...], GatewayCommand]:

@@ -21,6 +21,7 @@ from canopen_proto.dictionary import Object, ObjectDictionary, ObjectType, Varia
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from tests.builds import takes_any_type
 
 SAMPLE = """\
 ; a file of a maker
@@ -417,6 +418,7 @@ def test_what_can_be_kept_is_written_and_read_again(facts: dict[str, Any]) -> No
     assert {name: getattr(variable, name) for name in facts} == facts
 
 
+@takes_any_type
 def test_a_data_type_that_does_not_exist_is_told_with_its_object() -> None:
     with pytest.raises(LocalProtocolError, match=r"Speed \(0x2000:00\): there is no data type 99"):
         only(data_type=99)

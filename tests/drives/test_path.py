@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.drives.trajectory import JointLimits, Path, PathError, PathPoint, Segment
+from tests.builds import takes_any_type
 from tests.examples import examples
 
 
@@ -67,7 +68,11 @@ REST = Segment(1.0, (0.0,))
         ([[REST, Segment(1.0, ())]], "Segment 1 of joint 0, which begins at 1 s, has 0 coefficients"),
         ([[Segment(1.0, (0.0,) * 7)]], "has 7 coefficients. Try: 1 to 6"),
         ([[Segment(1.0, (0.0, math.inf))]], r"no finite number up to 1e\+100: \(0.0, inf\)"),
-        ([[Segment(1.0, (0.0, 10**5000))]], r"no finite number up to 1e\+100: \(0.0, a whole number of 16610 bits\)"),
+        pytest.param(
+            [[Segment(1.0, (0.0, 10**5000))]],
+            r"no finite number up to 1e\+100: \(0.0, a whole number of 16610 bits\)",
+            marks=takes_any_type,
+        ),
         ([[REST], [Segment(1.0, (0.0, 1e307, -1e308))]], "Segment 0 of joint 1, which begins at 0 s, has a coefficient"),
         ([[Segment(1e30, (0.0, 0.0, 0.0, 0.0, 1e30))]], r"goes beyond 1e\+100"),
         ([[REST, Segment(1.0, (0.1,))]], "starts at 0.1, but the segment before ends at 0.0"),

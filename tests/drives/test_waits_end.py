@@ -150,12 +150,10 @@ def test_a_wait_ends_as_soon_as_its_reason_is_there(name: str, cause: str, by_pd
 
 
 def allowed_for_clean_up(cause: str) -> int:
-    """A move is halted after its end. That takes an SDO time-out of a node that is gone, and one more to ask it whether it has
-    power; its ramp of a drive that moves; one that was started a moment ago is watched for `reaction_time`.
+    """A move is halted after its end. That takes an SDO time-out of a node that is gone, and one or two more to ask it whether it
+    has power; its ramp of a drive that moves; one that was started a moment ago is watched for `reaction_time`.
     """
-    return {"heartbeat lost": 3 * SECOND // 2, "boot-up": 1100 * MILLISECOND, "mode change": 5 * SECOND}.get(
-        cause, 600 * MILLISECOND
-    )
+    return {"heartbeat lost": 2 * SECOND, "boot-up": 1100 * MILLISECOND, "mode change": 5 * SECOND}.get(cause, 600 * MILLISECOND)
 
 
 def error_of(rig: Rig, request: int) -> BaseException | None:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from random import Random
 from typing import NamedTuple, TypeAlias
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.observer.finding import AT_ONCE
 from canopen_proto.observer.observer import Observer
 from canopen_proto.observer.sdo import PAUSE
 from canopen_proto.sdo.codec import TOGGLE
@@ -175,12 +177,15 @@ class Scene:
         return any(text.startswith("080#") for _, text in self.frames)
 
     def begin_in(self, session: Session, random: Random) -> Time:
-        """A time from which it can happen: it is not interrupted by a command to all nodes."""
-        length = round(sum(after for after, _ in self.frames) * MILLISECOND)
+        """A time from which it can happen: it is not interrupted by a command to all nodes, and no frame of it stands right
+        behind one of the session: no bus brings both so soon (`AT_ONCE`)."""
+        times = [round(each * MILLISECOND) for each in accumulate(after for after, _ in self.frames)]
+        length = times[-1]
         commands = [line.time for line in session if line.frame.can_id == 0 and not line.frame.data[1]]
         while True:
             begin = random.randrange(session[0].time, session[-1].time + SECOND)
-            if not any(begin <= command <= begin + length for command in commands):
+            is_possible = not any(0 <= begin + time - line.time < AT_ONCE for time in times for line in session)
+            if is_possible and not any(begin <= command <= begin + length for command in commands):
                 return begin
 
     def is_explained(self, session: Session, begin: Time) -> bool:
