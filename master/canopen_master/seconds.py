@@ -13,12 +13,15 @@ def check_seconds(name: str, seconds: object, *, above_zero: bool = False, finit
 
     name: of the argument, for the text. above_zero: 0 is refused too. finite: so is infinity.
     """
-    wanted = "above 0" if above_zero else "0 or more"
+    wanted = f"give {'a finite number of ' * finite}seconds, {'above 0' if above_zero else '0 or more'}"
     if isinstance(seconds, Real) and not isinstance(seconds, bool):
-        found = float(seconds)
+        try:
+            found = float(seconds)
+        except OverflowError:  # a whole number, perhaps too long to be shown
+            raise LocalProtocolError(f"{name} is larger than any time; {wanted}") from None
         if (found > 0 or (found == 0 and not above_zero)) and not (finite and math.isinf(found)):
             return found
-    raise LocalProtocolError(f"{name} is {seconds!r}; give {'a finite number of ' * finite}seconds, {wanted}")
+    raise LocalProtocolError(f"{name} is {seconds!r}; {wanted}")
 
 
 def nanoseconds(name: str, seconds: object, *, above_zero: bool = False) -> Time:

@@ -159,6 +159,11 @@ def test_whatever_is_a_number_of_seconds_is_taken(seconds: float) -> None:
     assert nanoseconds("x", seconds) == round(float(seconds) * SECOND)
 
 
+def test_a_number_beyond_all_times_is_refused_by_its_name() -> None:
+    with pytest.raises(LocalProtocolError, match="^x is larger than any time; give a finite number of seconds, 0 or more"):
+        check_seconds("x", 10**5000)
+
+
 # ---- what a blocking node is not ----
 
 
