@@ -459,7 +459,7 @@ def enabling(command: F) -> F:
     return added
 
 
-commanding: Final = _option("--dry-run", is_flag=True, help="Only read, and show the frames that would be sent.")
+commanding: Final = _option("--dry-run", is_flag=True, help="Only read, and show what would be sent: frames, or steps in words.")
 """The option of commands that change something on the bus: see withholding.py, and rehearsal.py for those of drives."""
 
 
