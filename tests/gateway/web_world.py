@@ -192,7 +192,7 @@ async def web(
             async with page_over(MachineSubject(service, session)) as (hub, app, http, nursery):
                 for node_id in node_ids if beats else ():
                     await service.node(service.nets[0], node_id).write("producer_heartbeat_time", 500)
-                await trio.sleep(1)
+                await trio.sleep(1.1)  # between two heartbeats: what is told is told, in whatever order tasks run
                 yield WebWorld(http, app, host, service, hub, nursery)
 
 
