@@ -5,6 +5,7 @@ Every day they are few, and of the cases of a test marked `thorough` only some a
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/core/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 The tests of each file in an order drawn from a number, files too: `pytest --shuffle=7`.
+The tasks of trio in another order, where several are ready at the same time: `pytest --order=7`.
 The tests of the master on asyncio: `pytest --loop=asyncio tests/master`.
 """
 
@@ -18,6 +19,7 @@ import os
 import random
 import signal
 import sys
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +28,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis.internal.conjecture import providers
 
+from canopen_testing.trio_order import seed_order
 from tests.examples import SAME, of_every_day
 
 try:  # these are pytest's own: without them each worker compiles for itself
@@ -75,6 +78,7 @@ def processors() -> int:
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in an order of their own")
+    parser.addoption("--order", type=int, default=0, metavar="SEED", help="the order of trio's tasks: it is drawn for each test")
     parser.addoption("--loop", choices=["trio", "asyncio"], help="of the tests of the master: see tests/loops.py")
     if not pluginmanager.hasplugin("xdist"):  # `-p no:xdist`: then what pyproject.toml tells it means nothing
         for option in ("--numprocesses", "--dist"):
@@ -232,6 +236,16 @@ def end_at_once(process: int) -> None:
     if os.getpid() == process:  # and no fork of it
         sys.stderr.flush()
         os._exit(0)  # what it found, it has told
+
+
+@pytest.hookimpl(wrapper=True, specname="pytest_runtest_protocol")
+def pytest_order_tasks(item: pytest.Item) -> Iterator[None]:
+    """Give the tasks of trio an order that is the same in each run. Else a test of two things at one time passes by chance."""
+    give_back = seed_order(zlib.crc32(f"{item.nodeid} {item.config.getoption('order')}".encode()))
+    try:
+        return (yield)
+    finally:
+        give_back()
 
 
 @pytest.hookimpl(wrapper=True, specname="pytest_runtest_protocol")
