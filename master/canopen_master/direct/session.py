@@ -30,8 +30,7 @@ from typing import Final, TypeVar
 from canopen_master.assembly import described
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
-from canopen_master.direct.drive import COUNTS, DirectDrive
-from canopen_master.direct.hand_sync import HandSync
+from canopen_master.direct.drive import COUNTS, DirectDrive, HandSync
 from canopen_master.direct.hold_to_run import move_while_held
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.machine_file import MachineFile, read_machine
