@@ -12,6 +12,7 @@ import inspect
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
+from operator import attrgetter
 from types import TracebackType
 from typing import Any, Generic, NoReturn, Protocol, Self, TypeVar, overload
 
@@ -112,6 +113,12 @@ class Twin(Generic[T]):
 
     def __repr__(self) -> str:
         return f"<blocking {repr(self._inner).strip('<>')}>"
+
+
+def attribute(name: str, of: str) -> Any:
+    """Return the property for an attribute of an async object: it is read in the caller's thread, since that is one step. of: the
+    object's class."""
+    return property(attrgetter(f"_inner.{name}"), doc=f"As of the async {of}; see the text of this class.")
 
 
 class _Context(Generic[W]):
