@@ -85,7 +85,6 @@ _FOR_ALL: Final = (LossResponse.STOP_ALL, LossResponse.RESET_ALL)
 class NodeLost(Event):
     """A booted node has shown no sign of life in time. reaction: of the master."""
 
-    __slots__ = ("reaction",)
     __match_args__ = ("node_id", "reaction")
 
     def __init__(self, node_id: int, reaction: LossResponse) -> None:
@@ -96,7 +95,6 @@ class NodeLost(Event):
 class NetworkStarted(Event):
     """All mandatory nodes are ready. running: the nodes that were started so far, or left running."""
 
-    __slots__ = ("running",)
     __match_args__ = ("node_id", "running")
 
     def __init__(self, node_id: int, running: tuple[int, ...]) -> None:
@@ -110,7 +108,6 @@ class NodeSupervised(Event):
     timeout 0: no longer, since it answers and sends none.
     """
 
-    __slots__ = ("timeout",)
     __match_args__ = ("node_id", "timeout")
 
     def __init__(self, node_id: int, timeout: Time) -> None:
@@ -120,8 +117,6 @@ class NodeSupervised(Event):
 
 class _BootRequested(Event):
     """The host wants a node to be booted again."""
-
-    __slots__ = ()
 
 
 _OF_ABSENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING)

@@ -167,8 +167,6 @@ class EdsDocument:
     denotations of sub-objects, by index and "name", "value" or "denotation".
     """
 
-    __slots__ = ("encoding", "lists", "named", "objects", "sections", "subs", "text")
-
     def __init__(self, text: str, encoding: str, findings: Findings) -> None:
         self.text = text
         self.encoding = encoding

@@ -36,8 +36,6 @@ _COMMENT: Final = re.compile(r"line([0-9]{1,6})", re.ASCII)
 class Fields:
     """The values of one section, which may be missing, as texts, numbers and flags."""
 
-    __slots__ = ("_findings", "_section", "values")
-
     def __init__(self, section: Section | None, findings: Findings) -> None:
         self._section = section
         self._findings = findings
