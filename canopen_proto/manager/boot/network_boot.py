@@ -46,10 +46,9 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time
-from canopen_proto.manager.boot.commands import NmtCommands
 from canopen_proto.manager.boot.entry import CONSUMER_FACTOR, NetworkEntry
 from canopen_proto.manager.boot.member import BootingNode
-from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node, watch_by
+from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NmtCommands, NodeHook, boot_node, watch_by
 from canopen_proto.manager.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.network import Network, OutageChanged
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster

@@ -928,7 +928,7 @@ class BlockingChain(BlockingMoving):
         self._hub.do(self._inner.hold)
 
     def record(self, path: str | FilePath) -> AbstractContextManager[BlockingRecorder]:
-        """Record what the chain does while an `with` block runs: a row for each SYNC, see record_format.py.
+        """Record what the chain does while an `with` block runs: a row for each SYNC, see record_files.py.
 
         path: of the file, Parquet if it ends in ".parquet", else CSV; an older one is overwritten. Rows begin once the chain is
         initialised. Raises OSError; PackageMissingError without pyarrow for Parquet; at the end RecordError if rows are missing.
