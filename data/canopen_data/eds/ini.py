@@ -23,6 +23,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
+from canopen_data.eds.encodings import LINE_END
 from canopen_data.findings import Finding, Severity
 from canopen_proto.explained import counted
 
@@ -41,7 +42,6 @@ MAX_QUOTED: Final = 60
 _SECTION: Final = re.compile(r"\n[ \t]*\[")
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,8})|(name|value|denotation))?", re.ASCII)
 _HASH_LINE: Final = re.compile(r"\n([ \t]*)#")
-_LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
 """The standard prints the name with one m; half of the tools write two."""
 
@@ -185,7 +185,7 @@ class EdsDocument:
     @property
     def newline(self) -> str:
         """The line end of the first line; a line feed if there is none."""
-        found = _LINE_END.search(self.text)
+        found = LINE_END.search(self.text)
         return "\n" if found is None else found[0]
 
     def section(self, name: str) -> Section | None:

@@ -42,10 +42,10 @@ from canopen_data.eds.ini import MAX_FILE_SIZE, MAX_QUOTED, EdsDocument, Finding
 from canopen_data.eds.keys import Fields
 from canopen_data.eds.modules import Modules
 from canopen_data.eds.numbers import read_number
-from canopen_data.eds.variables import OBJECT_FLAGS, Variables
+from canopen_data.eds.variables import OBJECT_FLAGS, TYPES, Variables
 from canopen_data.findings import DictionaryError, Severity
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.model import WITH_FIELDS, ObjectDictionary
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 
@@ -111,12 +111,10 @@ def _tell(section: Section, severity: Severity, message: str, findings: Findings
         findings.add(severity, "unused-section", message, section.line, 1)
 
 
-_TYPES: Final = {int(each): each for each in DataType}
 _OBJECT_TYPES: Final[dict[str | None, ObjectType]] = {
     text: each for each in ObjectType for text in (str(int(each)), f"0x{int(each):X}", f"0x0{int(each):X}")
 }
 _CODES: Final = {int(each) for each in ObjectType}
-_WITH_SUBS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 _SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
 _NO_SUBS: Final[dict[int, Section]] = {}
 
@@ -232,17 +230,17 @@ class _Objects:
         values = section.body.values
         is_compact = values.get("compactsubobj", "0") not in ("0", "", "0x0")
         name = section.title if section.title is not None else values.get("parametername", "")
-        if subs and object_type not in _WITH_SUBS and (object_type is not ObjectType.VAR or set(subs) - {0, 0xFF}):
+        if subs and object_type not in WITH_FIELDS and (object_type is not ObjectType.VAR or set(subs) - {0, 0xFF}):
             message = f"a {object_type.name} has no sub-objects; taken as RECORD"
             self._variables.warn(section, "ObjectType", "object-type", message)
             object_type = ObjectType.RECORD
-        if object_type not in _WITH_SUBS and not subs and not is_compact:
+        if object_type not in WITH_FIELDS and not subs and not is_compact:
             if object_type is ObjectType.NULL or (object_type is ObjectType.DEFTYPE and "datatype" not in values):
                 return self._whole(section, index, name, object_type, {}, None)
             variable = self._variables.read(section, index, 0)
             return Object(index, name, object_type, MappingProxyType({0: variable}), *_of_single(variable))
         code = self._variables.number(section, "DataType", 0xFFFF) or None
-        likely = _TYPES.get(code) if code is not None and object_type is ObjectType.ARRAY else None
+        likely = TYPES.get(code) if code is not None and object_type is ObjectType.ARRAY else None
         found = self._subs(index, subs, likely)
         if is_compact:
             found = self.compact.array(section, index, found)
@@ -312,7 +310,7 @@ class _Objects:
         """Check SubNumber: the number of sub-objects, without 255, which describes the structure."""
         text = section.body.values.get("subnumber", "")
         if not text:
-            if object_type in _WITH_SUBS:
+            if object_type in WITH_FIELDS:
                 self._variables.warn(section, "SubNumber", "sub-number", "SubNumber is missing")
             return
         count = len(found)

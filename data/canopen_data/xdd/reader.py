@@ -31,6 +31,7 @@ from typing import Final, TypeAlias
 from canopen_data.describing import lists_of
 from canopen_data.description import DeviceDescription, FileKind
 from canopen_data.eds.ini import quoted
+from canopen_data.eds.variables import TYPES, likely_access, likely_type
 from canopen_data.findings import DictionaryError, Severity
 from canopen_data.xdd import device
 from canopen_data.xdd.elements import Element, XddFindings, parse, place_in
@@ -39,7 +40,6 @@ from canopen_data.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
-from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.multiplexer import Mux, mux
 
 _OF_EDS: Final = {"parametername": "name", "parametervalue": "actualvalue"}
@@ -99,7 +99,6 @@ class XddDocument:
         return None if element is None else place_in(self._text, element, "value")
 
 
-PROFILES: Final = 0x2000
 """Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); above, the meaning depends on the profile."""
 SUB_OBJECT: Final = "CANopenSubObject"
 ROOT: Final = "ISO15745ProfileContainer"
@@ -113,7 +112,6 @@ _MODULE_INTERFACE: Final = "moduleInterface"
 """In such an element: the file describes a module, which is a part of another device."""
 _HAS_MODULES: Final = "this device has modules; their objects are not read from an XDD, and are missing here"
 _IS_MODULE: Final = "this file describes a module, a part of a device; the objects may have other indices there"
-_TYPES: Final = {int(each): each for each in DataType}
 _ACCESS: Final = {each.value: each for each in Access} | ACCESS
 _IN_PARAMETER: Final = {
     "defaultValue": "default",
@@ -354,16 +352,14 @@ class _Reader:
         text = part.element.get("dataType")
         if text:
             code = _code_of(text)
-            if code in _TYPES:
-                return _TYPES[code]
+            if code in TYPES:
+                return TYPES[code]
         elif part.parameter is not None and part.parameter.data_type is not None:
             return part.parameter.data_type
         elif likely is not None:
             return likely
-        standard = find_standard(index, subindex) if index < PROFILES else None
-        guess = standard.data_type if standard is not None else DataType.OCTET_STRING
-        if subindex == 0 and part.element.name == SUB_OBJECT:
-            guess = DataType.UNSIGNED8  # it counts the others
+        counts_others = subindex == 0 and part.element.name == SUB_OBJECT
+        guess = DataType.UNSIGNED8 if counts_others else likely_type(index, subindex)
         reason = f"{quoted(text)!r} is no data type that a value can have" if text else "the data type is missing"
         self._findings.warning("data-type", f"{reason}; taken as {guess.name}", part.element, "dataType")
         return guess
@@ -390,7 +386,7 @@ class _Reader:
         text = own or (part.parameter.access.lower() or "read" if part.parameter is not None else "")
         access = _ACCESS.get(text)
         if access is None:
-            access = _likely_access(index, subindex)
+            access = likely_access(index, subindex)
             reason = f"the access {quoted(text)!r} is none of SDO" if text else "the access is missing"
             at, name = (part.element, "accessType") if own or part.parameter is None else (part.parameter.element, "access")
             self._findings.warning("access", f"{reason}; taken as {access}", at, name)
@@ -419,13 +415,6 @@ def _code_of(text: str) -> int | None:
     """Return the index of a data type."""
     match = HEXADECIMAL.fullmatch(text)
     return int(match[1], 16) if match is not None else None
-
-
-def _likely_access(index: int, subindex: int) -> Access:
-    """Return the access for an object without one in the file: the standard's, else rw; the device refuses what it does not
-    allow."""
-    standard = find_standard(index, subindex) if index < PROFILES else None
-    return Access.RW if standard is None else standard.access
 
 
 def _member_type(whole: XddParameter | None, subindex: int, position: int, count: int) -> DataType | None:
