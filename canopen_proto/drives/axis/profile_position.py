@@ -77,11 +77,7 @@ def move_to(
     yield from require_profile_speed(axis)
     relation = ModeControl.RELATIVE if relative else 0
     try:
-        if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
-            yield from halt(axis)
-        if axis.unanswered:
-            yield from settle(axis)
-        yield from set_mode(axis, Mode.PROFILE_POSITION)
+        yield from select_profile_position(axis)
         yield from _end_at_rest(axis)
         yield from set_options(axis, direction)
         yield from enable(axis)
@@ -106,6 +102,15 @@ def move_to(
     except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
+
+
+def select_profile_position(axis: Axis) -> Procedure[None]:
+    """Go to profile position; at rest before, if it was in another mode or may still obey what it has not answered."""
+    if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
+        yield from halt(axis)
+    if axis.unanswered:
+        yield from settle(axis)
+    yield from set_mode(axis, Mode.PROFILE_POSITION)
 
 
 def _end_at_rest(axis: Axis) -> Procedure[None]:
