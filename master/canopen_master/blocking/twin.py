@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Itera
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
 from operator import attrgetter
 from types import TracebackType
-from typing import Any, Generic, NoReturn, Protocol, Self, TypeVar, overload
+from typing import Any, Generic, NoReturn, Self, TypeVar, overload
 
 import trio
 
@@ -24,7 +24,7 @@ from canopen_master.errors import BusError, MasterClosedError
 from canopen_master.master import Master
 from canopen_master.motion.moving import together
 from canopen_master.node import Node
-from canopen_master.participant.dispatch import Watcher, check_callback, event_kinds
+from canopen_master.participant.dispatch import check_callback, event_kinds
 from canopen_master.session import MasterSession
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key
@@ -134,13 +134,7 @@ class _Context(Generic[W]):
         return self._held.__exit__(kind, error, traceback)
 
 
-class Watchable(Protocol):
-    """What tells events: a master, a node."""
-
-    def watch(self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], /) -> Watcher: ...
-
-
-def on(hub: Hub, inner: Watchable, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
+def on(hub: Hub, inner: Master | Node, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
     """See `MasterTwin.on`."""
     check_callback(callback)
     kinds: tuple[type[Event], ...] = event_kinds(kind)

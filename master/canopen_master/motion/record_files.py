@@ -35,7 +35,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, Protocol, TypeAlias
+from typing import IO, Any, Final, TypeAlias
 
 from canopen_master.errors import PackageMissingError
 from canopen_proto.explained import Explained
@@ -121,29 +121,11 @@ _PAUSE: Final = 0.0001
 """Seconds that the writing thread sleeps between two columns: Python runs one thread at a time, and the cycle goes first."""
 
 
-class RecordFile(Protocol):
-    """A file that rows are written to. chunk: how many rows are written at a time.
-
-    `encode` is called in the turn of the cycle; `begin`, `write` and `close` in a thread of the file's own.
-    """
-
-    chunk: int
-
-    def encode(self, row: Row) -> Any:
-        """Return the row as `write` takes it."""
-
-    def begin(self, head: RecordHead) -> None:
-        """Write what stands before the rows."""
-
-    def write(self, rows: Sequence[Any]) -> None:
-        """Write rows. Raises OSError."""
-
-    def close(self) -> None:
-        """End the file. Raises OSError."""
-
-
 class CsvFile:
-    """A recording as CSV. Numbers are written so that they are read back exactly."""
+    """A recording as CSV. Numbers are written so that they are read back exactly. chunk: how many rows are written at a time.
+
+    `encode` is called in the turn of the cycle; `begin`, `write` and `close`, which raise OSError, in a thread of the file's own.
+    """
 
     def __init__(self, file: IO[bytes]) -> None:
         self.chunk = _CHUNK_OF_CSV
@@ -200,7 +182,7 @@ class ParquetFile:
             self._file.close()
 
 
-def open_record(path: str | Path) -> RecordFile:
+def open_record(path: str | Path) -> CsvFile | ParquetFile:
     """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, PackageMissingError. path:
     ends with .parquet for Parquet; anything else is CSV."""
     is_parquet = Path(path).suffix.lower() == PARQUET
