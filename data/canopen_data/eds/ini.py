@@ -78,6 +78,12 @@ class Findings:
         if not self.full(severity):
             self._list.append(Finding(severity, code, message, self.source, line, column))
 
+    def in_section(self, section: Section | None, key: str, severity: Severity, code: str, message: str) -> None:
+        """Add a finding about a key of a section, "" for the section as a whole; None: about the whole file."""
+        if not self.full(severity):
+            place, where = ((0, 0), "") if section is None else (section.place_of(key), f"in [{quoted(section.name)}]: ")
+            self._list.append(Finding(severity, code, f"{where}{message}", self.source, *place))
+
     def all(self) -> tuple[Finding, ...]:
         """Return the findings in the order of the file."""
         found = sorted(self._list, key=lambda each: (each.line, each.column))

@@ -44,10 +44,8 @@ class Fields:
     def warn(self, code: str, message: str, key: str = "", severity: Severity = Severity.WARNING) -> None:
         """Add a finding about the section, or about one of its values. code: of the finding. message: for people. key: of the
         value, "" for the section."""
-        if self._section is not None and not self._findings.full(severity):
-            line, column = self._section.place_of(key)
-            message = f"in [{quoted(self._section.name)}]: {message}"
-            self._findings.add(severity, code, message, line, column)
+        if self._section is not None:
+            self._findings.in_section(self._section, key, severity, code, message)
 
     def text(self, key: str) -> str:
         """Return a text; "" if there is none. key: in any case of letters."""

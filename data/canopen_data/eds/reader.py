@@ -107,8 +107,7 @@ def _report(section: Section, name: str, findings: Findings) -> None:
 
 
 def _tell(section: Section, severity: Severity, message: str, findings: Findings) -> None:
-    if not findings.full(severity):
-        findings.add(severity, "unused-section", message, section.line, 1)
+    findings.add(severity, "unused-section", message, section.line, 1)
 
 
 _OBJECT_TYPES: Final[dict[str | None, ObjectType]] = {

@@ -214,17 +214,14 @@ class Variables:
             return
         self._told += 1
         keys = [key for key in reversed(values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
-        if keys and not self._findings.full(Severity.NOTICE):
-            names = ", ".join(quoted(key) for key in keys[:5])
-            message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
-            self._findings.add(Severity.NOTICE, "unknown-key", message, *section.place_of(keys[0]))
+        if keys:
+            message = f"CiA 306 has no {', '.join(map(quoted, keys[:5]))}{' ...' if len(keys) > 5 else ''}"
+            self._findings.in_section(section, keys[0], Severity.NOTICE, "unknown-key", message)
 
     def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
         """Add a finding about a key of a section. code: of the finding. message: for people."""
         self._told += 1
-        if not self._findings.full(severity):
-            line, column = section.place_of(key)
-            self._findings.add(severity, code, f"in [{quoted(section.name)}]: {message}", line, column)
+        self._findings.in_section(section, key, severity, code, message)
 
     def _remark(self, section: Section, key: str, remark: str, lost: bool) -> None:
         self.warn(section, key, "value", f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
