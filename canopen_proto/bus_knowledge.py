@@ -34,10 +34,7 @@ from canopen_proto.frame import (
     MAX_NODE_ID,
     SDO_CLIENT_TO_SERVER,
     SDO_SERVER_TO_CLIENT,
-    TPDO1,
-    TPDO2,
-    TPDO3,
-    TPDO4,
+    TPDOS,
     Frame,
 )
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time, check_node_id
@@ -54,7 +51,6 @@ COPY_TIME: Final = 5 * MILLISECOND
 """The same answer again within this time is a second copy, which CAN itself can make, not the answer to another client."""
 
 _NOT_HEARD: Final = -NEVER
-_TPDOS: Final = (TPDO1, TPDO2, TPDO3, TPDO4)
 
 
 class HeardService(Enum):
@@ -201,7 +197,7 @@ class BusKnowledge:
         if answer is not None:
             signs.append((answer.time, HeardService.SDO))
         time, service = max(signs, key=lambda sign: sign[0], default=(None, None))
-        pdos = [seen for base in _TPDOS if (seen := self._seen(base + node_id)) is not None]
+        pdos = [seen for base in TPDOS if (seen := self._seen(base + node_id)) is not None]
         return NodeHeard(
             node_id,
             time,

@@ -85,24 +85,6 @@ DEFAULT_HISTORY_LENGTH: Final = 8
 class CommunicationObjects(Owner):
     """The machines that a device's communication objects set, and the rules for writes to these objects."""
 
-    __slots__ = (
-        "_effects",
-        "_members",
-        "_out",
-        "_state",
-        "emcy",
-        "emcy_consumers",
-        "guarding",
-        "heartbeat",
-        "monitors",
-        "node_id",
-        "sync_consumer",
-        "sync_producer",
-        "time_consumer",
-        "time_producer",
-        "values",
-    )
-
     def __init__(self, out: Outbox, node_id: int, values: Values, members: Members) -> None:
         """Make the machines and attach them to `members`. `reload` sets them by the values."""
         self._out = out

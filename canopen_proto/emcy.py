@@ -51,7 +51,6 @@ _MESSAGE: Final = struct.Struct("<HB5s")
 class EmcySent(Event):
     """Our producer's emergency frame is in the outbox. code, error_register, vendor_data: as in EmcyReceived."""
 
-    __slots__ = ("code", "error_register", "vendor_data")
     __match_args__ = ("node_id", "code", "error_register", "vendor_data")
 
     def __init__(self, node_id: int, code: int, error_register: int, vendor_data: bytes) -> None:
@@ -65,7 +64,6 @@ class EmcyDropped(Event):
     """An emergency of ours will not be sent: the oldest of a full queue (it is in the history), or one beyond MAX_ACTIVE. code:
     its emergency error code, 16 bits."""
 
-    __slots__ = ("code",)
     __match_args__ = ("node_id", "code")
 
     def __init__(self, node_id: int, code: int) -> None:
@@ -81,7 +79,6 @@ class EmcyReceived(Event):
     came; below 8 the rest was filled up with zeros. timestamp: the transport's, if it has one.
     """
 
-    __slots__ = ("code", "error_register", "length", "text", "timestamp", "vendor_data")
     __match_args__ = ("node_id", "code", "error_register", "vendor_data", "text", "length", "timestamp")
 
     def __init__(

@@ -54,6 +54,12 @@ SDO_SERVER_TO_CLIENT: Final = 0x580
 SDO_CLIENT_TO_SERVER: Final = 0x600
 ERROR_CONTROL: Final = 0x700
 
+TPDOS: Final = (TPDO1, TPDO2, TPDO3, TPDO4)
+BY_THE_NODE: Final = frozenset((EMCY, *TPDOS, SDO_SERVER_TO_CLIENT, ERROR_CONTROL))
+"""The functions whose frames a node sends itself."""
+FUNCTION: Final = 0x780
+"""The bits of a CAN-ID that tell the function; the others are the node-ID."""
+
 MAX_NODE_ID: Final = 127
 ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)
 UNCONFIGURED: Final = 0xFF

@@ -51,7 +51,6 @@ MAX_LIFE_TIME_FACTOR: Final = 255
 class GuardingAnswered(Event):
     """A node answered a guarding request. timestamp: the transport's, if it has one. state: the node's NMT state, as it says."""
 
-    __slots__ = ("state", "timestamp")
     __match_args__ = ("node_id", "state", "timestamp")
 
     def __init__(self, node_id: int, state: NmtState, timestamp: int | None) -> None:
@@ -63,13 +62,10 @@ class GuardingAnswered(Event):
 class GuardingToggleRepeated(FrameIgnored):
     """An answer with the same toggle bit as the one before; it counts as not received."""
 
-    __slots__ = ()
-
 
 class GuardingRequestsSkipped(Event):
     """The master was woken so late that it left out requests. skipped: their number, 1 or more."""
 
-    __slots__ = ("skipped",)
     __match_args__ = ("node_id", "skipped")
 
     def __init__(self, node_id: int, skipped: int) -> None:
@@ -84,7 +80,6 @@ class GuardingStateUnexpected(Event):
     Together with NodeGuardingLost this is the "node guarding event". CiA 301 v4.2.0, 7.2.8.2.2.1
     """
 
-    __slots__ = ("expected", "state")
     __match_args__ = ("node_id", "state", "expected")
 
     def __init__(self, node_id: int, state: NmtState, expected: NmtState) -> None:
@@ -99,7 +94,6 @@ class NodeGuardingLost(Event):
     state: of its last answer, None if it never answered. life_time: ns.
     """
 
-    __slots__ = ("life_time", "state")
     __match_args__ = ("node_id", "state", "life_time")
 
     def __init__(self, node_id: int, state: NmtState | None, life_time: Time) -> None:
@@ -111,7 +105,6 @@ class NodeGuardingLost(Event):
 class NodeGuardingRecovered(Event):
     """A lost node answered (the GuardingAnswered before this one). state: the node's NMT state, as it says."""
 
-    __slots__ = ("state",)
     __match_args__ = ("node_id", "state")
 
     def __init__(self, node_id: int, state: NmtState) -> None:
@@ -123,7 +116,6 @@ class LifeGuardingLost(Event):
     """Our own slave got no request within its node life time. Once; LifeGuardingRecovered follows with the next request.
     life_time: ns."""
 
-    __slots__ = ("life_time",)
     __match_args__ = ("node_id", "life_time")
 
     def __init__(self, node_id: int, life_time: Time) -> None:
@@ -134,8 +126,6 @@ class LifeGuardingLost(Event):
 class LifeGuardingRecovered(Event):
     """Our own slave gets requests again."""
 
-    __slots__ = ()
-
 
 class GuardingMaster(Machine):
     """The master's side of guarding, for one node.
@@ -143,19 +133,6 @@ class GuardingMaster(Machine):
     guard_time, life_time: ns, 0 while stopped. state: of the node's last answer, or None. expected: the NMT state that the node
     should have, None for any. lost: NodeGuardingLost was reported, and no answer came since. All read-only outside.
     """
-
-    __slots__ = (
-        "_next_request",
-        "_reported",
-        "_toggle",
-        "_unanswered_since",
-        "expected",
-        "guard_time",
-        "life_time",
-        "lost",
-        "node_id",
-        "state",
-    )
 
     def __init__(self, out: Outbox, node_id: int) -> None:
         """Make a master that asks nothing before `start`. node_id: 1..127, else LocalProtocolError."""
@@ -274,8 +251,6 @@ class GuardingSlave(Machine):
     life_time: ns; 0: not watched. state: the NMT state for the answer. lost: LifeGuardingLost was reported, and no request came
     since. enabled: whether guarding is used. All read-only outside.
     """
-
-    __slots__ = ("_begun", "_toggle", "enabled", "life_time", "lost", "node_id", "state")
 
     def __init__(self, out: Outbox, node_id: int) -> None:
         """Make a slave in INITIALISING, with life time 0, not enabled. node_id: 1..127, else LocalProtocolError."""

@@ -90,25 +90,6 @@ EMCY_BUS_OFF_RECOVERED: Final = 0x8140
 class LocalNode(Group):
     """A device on the bus; see this module's text. It sends nothing before `boot`."""
 
-    __slots__ = (
-        "_errors",
-        "_owners",
-        "_store",
-        "application",
-        "channels",
-        "communication",
-        "deferred",
-        "in_pieces",
-        "lss",
-        "nmt",
-        "node_id",
-        "optional_emcy",
-        "pdos",
-        "sdo",
-        "storage",
-        "values",
-    )
-
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary) -> None:
         """node_id: 1..127, or UNCONFIGURED. dictionary: the device's objects; its PDO and communication objects decide which
         services run."""

@@ -83,8 +83,6 @@ class ParameterStorage(Owner):
     -> its indices. excluded: indices that are not parameters. The device may change these two before it boots.
     """
 
-    __slots__ = ("_after", "_configured", "_values", "excluded", "groups", "saved")
-
     def __init__(self, values: Values) -> None:
         self._values = values
         self._after: dict[tuple[int, int], dict[Mux, Value]] = {}  # access that waits for the host -> `saved` after it

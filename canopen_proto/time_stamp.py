@@ -26,7 +26,6 @@ from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time
 class TimeSent(Event):
     """Our producer's TIME is in the outbox; node_id is 0. time: as sent (whole milliseconds, UTC)."""
 
-    __slots__ = ("time",)
     __match_args__ = ("node_id", "time")
 
     def __init__(self, node_id: int, time: datetime.datetime) -> None:
@@ -37,7 +36,6 @@ class TimeSent(Event):
 class TimeReceived(Event):
     """A TIME came; node_id is 0. time: in UTC. timestamp: the transport's, if it has one."""
 
-    __slots__ = ("time", "timestamp")
     __match_args__ = ("node_id", "time", "timestamp")
 
     def __init__(self, node_id: int, time: datetime.datetime, timestamp: int | None) -> None:

@@ -142,7 +142,7 @@ CONSTANT: Final = {"Node.node_id", "Node.bus", "Node.dictionary", "Node.network"
 """Properties that never change: they are read in the caller's thread."""
 
 FROM_TWIN: Final = (
-    *("Twin", "MasterTwin", "NodeTwin", "open_session", "open_context", "in_a_thread", "together_of_none"),
+    *("Twin", "MasterTwin", "NodeTwin", "open_session", "open_context", "attribute", "in_a_thread", "together_of_none"),
     *("E", "R", "V"),
 )
 """What the file uses of twin.py."""
@@ -446,6 +446,10 @@ class Writer:
     def attribute(self, owner: str, name: str, annotation: str, module: str) -> Iterator[str]:
         """Yield the lines of a property that stands for an attribute: read in the caller's thread, since that is one step."""
         shown = Translator(module, self.used).text(ast.parse(annotation, mode="eval").body)
+        if "Blocking" not in shown:
+            self.used["Final"] = "typing", "Final"
+            yield f'    {name}: Final[{shown}] = attribute("{name}", "{owner}")'
+            return
         yield "    @property"
         yield f"    def {name}(self) -> {shown}:"
         yield f'        """As of the async {owner}; see the text of this class."""'

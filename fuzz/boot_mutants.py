@@ -18,7 +18,7 @@ _NODE: Final = "manager/boot/node_boot.py"
 _NETWORK: Final = "manager/boot/network_boot.py"
 _MEMBER: Final = "manager/boot/member.py"
 _SUMMARY: Final = "canopen_cli/net/boot_summary.py"
-_COMMANDS: Final = "manager/boot/commands.py"
+_COMMANDS: Final = "manager/boot/node_boot.py"
 
 BOOT_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)

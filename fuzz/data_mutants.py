@@ -60,7 +60,7 @@ DATA_MUTANTS: Final = tuple(
         (
             "comment_cuts_texts",
             _NUMBERS,
-            "cut = None if data_type in _TEXTS else _COMMENT.search(text)",
+            "cut = None if data_type in TEXTS else _COMMENT.search(text)",
             "cut = _COMMENT.search(text)",
             "a text with a semicolon loses its end",
             NUMBERS,

@@ -355,7 +355,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "limit_nearly_kept",
-            "drives/axis/limits.py",
+            "drives/trajectory/limit_check.py",
             "EXACT: Final = 1 + 1e-6",
             "EXACT: Final = 1.02",
             "a motion may exceed its limits by two hundredths",

@@ -441,7 +441,7 @@ GATEWAY_MUTANTS: Final = tuple(
         ),
         (
             "longest_line_refused",
-            "gateway/lines.py",
+            "gateway/client.py",
             "            if end - begin > self._limit:\n",
             "            if end - begin >= self._limit:\n",
             "a line of exactly the allowed length ends its connection",
@@ -465,7 +465,7 @@ GATEWAY_MUTANTS: Final = tuple(
         ),
         (
             "line_without_bound",
-            "gateway/lines.py",
+            "gateway/client.py",
             "        if len(self._pending) > self._limit + len(self._line_end) - 1:",
             "        if len(self._pending) > self._limit << 20:",
             "a client that never ends its line fills the memory",

@@ -17,7 +17,7 @@ WIRE: Final = ("tests/transports/test_wire_machine.py", "tests/transports/test_w
 ARBITRATION: Final = ("tests/transports/test_wire_arbitration.py",)
 
 _QUEUE: Final = "canopen_transports/receive_queue.py"
-_OUTGOING: Final = "canopen_transports/tcp/outgoing.py"
+_OUTGOING: Final = "canopen_transports/tcp/server.py"
 _SERVER: Final = "canopen_transports/tcp/server.py"
 _PYTHON_CAN: Final = "canopen_transports/python_can.py"
 _WIRE: Final = "canopen_transports/wire/wire.py"

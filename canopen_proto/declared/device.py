@@ -56,7 +56,6 @@ _OWN_WORK: Final = ("start", "step", "sync")
 class DeviceCodeFailed(Event):
     """The code of a device raised an exception, `error`. function: the name of the method."""
 
-    __slots__ = ("error", "function")
     __match_args__ = ("node_id", "function", "error")
 
     def __init__(self, node_id: int, function: str, error: Exception) -> None:

@@ -379,7 +379,7 @@ class _NameIndex:
         fields: dict[str, Variable] = {}
         whole: dict[str, Variable] = {}
         for each in objects:
-            alone = len(each.variables) == 1 and each.object_type not in _WITH_FIELDS
+            alone = len(each.variables) == 1 and each.object_type not in WITH_FIELDS
             is_further = each.index in indices.FURTHER_DEVICES
             for variable in each.variables.values():
                 for name in variable.names:
@@ -404,7 +404,7 @@ class _NameIndex:
         return next(name for name in self.exact if name.endswith(f":{field}"))
 
 
-_WITH_FIELDS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
+WITH_FIELDS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 
 
 def _renamed(each: Object, other: ObjectDictionary) -> Object:

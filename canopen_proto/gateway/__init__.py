@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from canopen_proto.gateway.answer import print_event as print_event
     from canopen_proto.gateway.client import GatewayAnswered as GatewayAnswered
     from canopen_proto.gateway.client import GatewayClient as GatewayClient
+    from canopen_proto.gateway.client import GatewayLines as GatewayLines
     from canopen_proto.gateway.client import GatewayOddLine as GatewayOddLine
     from canopen_proto.gateway.codes import GatewayCode as GatewayCode
     from canopen_proto.gateway.codes import code_text as code_text
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from canopen_proto.gateway.dialect import DIALECTS as DIALECTS
     from canopen_proto.gateway.dialect import LELY as LELY
     from canopen_proto.gateway.dialect import Dialect as Dialect
-    from canopen_proto.gateway.lines import GatewayLines as GatewayLines
     from canopen_proto.gateway.node_ear import NodeEar as NodeEar
     from canopen_proto.gateway.node_ear import NodeReport as NodeReport
     from canopen_proto.gateway.pdo_port import PdoPort as PdoPort

@@ -9,6 +9,8 @@
 The client gives each request its number, and matches the answer by it. An answer with a number that nobody waits for (it came too
 late, or twice) is no answer to anything: it is told as a `GatewayOddLine`. Events are told apart by how they begin. A gateway's
 bytes never raise anything, and what is kept of them is bounded.
+
+`GatewayLines`: bytes of a stream cut into lines, of bounded length.
 """
 
 from __future__ import annotations
@@ -19,10 +21,56 @@ from typing import Final, TypeAlias
 
 from canopen_proto.gateway.answer import GatewayAnswer, GatewayEvent, parse_message
 from canopen_proto.gateway.dialect import CANOPENNODE, Dialect
-from canopen_proto.gateway.lines import GatewayLines
 from canopen_proto.gateway.request import MAX_SEQUENCE, GatewayRequest
 from canopen_proto.gateway.request_text import print_request
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
+
+MAX_LINE: Final = 65_536
+"""Bytes of a line: a value of 48 KiB as base64. A longer one is no request."""
+
+
+class GatewayLines:
+    """Cuts what comes into lines. too_long: a line was longer than `limit`; nothing is understood from there on.
+
+    pending: bytes of a line that has no end yet.
+    """
+
+    def __init__(self, line_end: bytes = b"\n", limit: int = MAX_LINE) -> None:
+        """line_end: what ends a line. limit: bytes of a line, without its end."""
+        self._line_end = line_end
+        self._limit = limit
+        self._pending = bytearray()
+        self.too_long = False
+
+    @property
+    def pending(self) -> int:
+        """How many bytes wait for the end of their line."""
+        return len(self._pending)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes; return the lines that are whole now, without their ends. data: at most a few KiB at a time, of which
+        what has no end yet is kept."""
+        if self.too_long:
+            return []
+        searched = max(0, len(self._pending) - len(self._line_end) + 1)
+        self._pending += data
+        lines: list[bytes] = []
+        begin = 0
+        while (end := self._pending.find(self._line_end, max(begin, searched))) >= 0:
+            if end - begin > self._limit:
+                self._give_up()
+                return lines
+            lines.append(bytes(self._pending[begin:end]))
+            begin = end + len(self._line_end)
+        del self._pending[:begin]
+        if len(self._pending) > self._limit + len(self._line_end) - 1:  # the last bytes may be the beginning of an end
+            self._give_up()
+        return lines
+
+    def _give_up(self) -> None:
+        self.too_long = True
+        self._pending.clear()
+
 
 MAX_OPEN: Final = 64
 """Requests that may wait for their answers: a gateway of CANopenNode has room for 2,000 bytes of them."""

@@ -26,7 +26,6 @@ _EMCY_LENGTH: Final = 8
 class NodeReport(Event):
     """An ear has heard something of a node. ear: its number. kind: what it was. numbers: as those of a GatewayEvent."""
 
-    __slots__ = ("ear", "kind", "numbers")
     __match_args__ = ("node_id", "ear", "kind", "numbers")
 
     def __init__(self, node_id: int, ear: int, kind: GatewayNews, numbers: tuple[int, ...]) -> None:
@@ -49,8 +48,6 @@ class _Watched:
 
 class NodeEar(Machine):
     """See this module's text. number: tells it from other ears. hears_boot_ups: may be set."""
-
-    __slots__ = ("_watched", "hears_boot_ups", "number")
 
     def __init__(self, out: Outbox, number: int) -> None:
         """number: any; it stands in each NodeReport."""

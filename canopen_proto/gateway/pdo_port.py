@@ -23,7 +23,6 @@ class PdoReport(Event):
     """A PDO came that a port listens to. node_id is 0. ear: the number of its client. number: of the PDO. values: of its
     objects."""
 
-    __slots__ = ("ear", "number", "values")
     __match_args__ = ("node_id", "ear", "number", "values")
 
     def __init__(self, node_id: int, ear: int, number: int, values: tuple[int, ...]) -> None:
@@ -38,8 +37,6 @@ class PdoPort(Machine):
 
     widths: bits of its objects. listens: it receives; else it sends.
     """
-
-    __slots__ = ("_key", "ear", "listens", "number", "values", "widths")
 
     def __init__(self, out: Outbox, ear: int, number: int, cob_id: int, widths: Sequence[int], *, listens: bool) -> None:
         """cob_id: of its frames. Raises LocalProtocolError for one that is restricted (CiA 301 v4.2.0, 7.3.5) or not valid, for

@@ -99,7 +99,6 @@ class Given:
 class LssGiven(Event):
     """A device was given its node-ID, or was not: see `result`."""
 
-    __slots__ = ("result",)
     __match_args__ = ("node_id", "result")
 
     def __init__(self, node_id: int, result: Given) -> None:

@@ -70,7 +70,6 @@ class LssReply(Outcome):
     request_id: the one that the command returned.
     """
 
-    __slots__ = ("answers", "count", "service", "slowest")
     __match_args__ = ("node_id", "request_id", "service", "answers", "count", "slowest")
 
     def __init__(
@@ -87,7 +86,6 @@ class LssReply(Outcome):
 class LssAnswerUnexpected(Event):
     """A slave answered when no command waited for this: late, or asked by another master."""
 
-    __slots__ = ("frame",)
     __match_args__ = ("node_id", "frame")
 
     def __init__(self, node_id: int, frame: Frame) -> None:
@@ -97,9 +95,6 @@ class LssAnswerUnexpected(Event):
 
 class LssMaster(Machine):
     """Sends LSS commands; see this module's text. frame_gap: ns; may be set."""
-
-    __slots__ = ("_answers", "_count", "_expected", "_guard", "_queue", "_request_id", "_sent_at", "_slowest",
-                 "_until", "_window", "frame_gap")  # fmt: skip
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)

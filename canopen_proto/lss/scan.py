@@ -74,7 +74,6 @@ class LssTimeoutError(LssError):
 class LssFound(Event):
     """A survey found a device without a node-ID; it has the LSS address `address`."""
 
-    __slots__ = ("address",)
     __match_args__ = ("node_id", "address")
 
     def __init__(self, node_id: int, address: LssAddress) -> None:
@@ -85,7 +84,6 @@ class LssFound(Event):
 class LssProgress(Event):
     """A fastscan knows `done` of the four numbers of an address."""
 
-    __slots__ = ("done",)
     __match_args__ = ("node_id", "done")
 
     def __init__(self, node_id: int, done: int) -> None:
@@ -96,13 +94,9 @@ class LssProgress(Event):
 class BootUpHeard(Event):
     """A node sent its boot-up frame."""
 
-    __slots__ = ()
-
 
 class LssTool(Group):
     """What LSS needs on one bus: the LSS master, ears for boot-ups, a Scanner. Attach it to a Network; detach it afterwards."""
-
-    __slots__ = ("master", "scanner")
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
@@ -118,8 +112,6 @@ class LssTool(Group):
 
 class _BootUps(Machine):
     """Reports each boot-up frame."""
-
-    __slots__ = ()
 
     def can_ids(self) -> Iterator[RoutingKey]:
         return (routing_key(ERROR_CONTROL + node_id) for node_id in ALL_NODE_IDS)

@@ -69,7 +69,6 @@ IDENTIFY_FRAMES: Final = 6
 class LssNodeIdSet(Event):
     """A master has set the pending node-ID of our slave. pending: 1..127, or UNCONFIGURED."""
 
-    __slots__ = ("pending",)
     __match_args__ = ("node_id", "pending")
 
     def __init__(self, node_id: int, pending: int) -> None:
@@ -81,7 +80,6 @@ class LssStoreRequested(Event):
     """The host has to store node-ID and bit rate for the next power-on, then to call `LssSlave.complete_store`. configuration:
     what is to be stored."""
 
-    __slots__ = ("configuration",)
     __match_args__ = ("node_id", "configuration")
 
     def __init__(self, node_id: int, configuration: LssConfiguration) -> None:
@@ -92,8 +90,6 @@ class LssStoreRequested(Event):
 class LssResetNeeded(Event):
     """Our device has got its first node-ID and leaves LSS: it has to reset its communication by itself, then to boot."""
 
-    __slots__ = ()
-
 
 class LssSilenceBegan(Event):
     """The bit rate changes: the device sends nothing from now on.
@@ -101,7 +97,6 @@ class LssSilenceBegan(Event):
     bit_rate: the new one, kbit/s. delay: ns, until the controller switches, and once more until the device may speak.
     """
 
-    __slots__ = ("bit_rate", "delay")
     __match_args__ = ("node_id", "bit_rate", "delay")
 
     def __init__(self, node_id: int, bit_rate: int, delay: Time) -> None:
@@ -113,7 +108,6 @@ class LssSilenceBegan(Event):
 class LssBitRateSwitched(Event):
     """The host has to switch its CAN controller now. bit_rate: kbit/s."""
 
-    __slots__ = ("bit_rate",)
     __match_args__ = ("node_id", "bit_rate")
 
     def __init__(self, node_id: int, bit_rate: int) -> None:
@@ -123,8 +117,6 @@ class LssBitRateSwitched(Event):
 
 class LssSilenceEnded(Event):
     """The change of the bit rate is done: the device may speak again."""
-
-    __slots__ = ()
 
 
 def address_of(values: Values) -> LssAddress:
@@ -139,11 +131,6 @@ class LssSlave(Machine):
 
     node_id of its events: the active one, 0 while there is none.
     """
-
-    __slots__ = (
-        "_delay", "_has_switched", "_identified", "_position", "_selected", "active", "address", "bit_rates", "can_store",
-        "is_silent", "is_storing", "pending", "persistent", "state",
-    )  # fmt: skip
 
     def __init__(
         self,

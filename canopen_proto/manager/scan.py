@@ -52,7 +52,6 @@ class NodeFound(Event):
     not answer. name: 0x1008 or "". remark: why something is missing, for people.
     """
 
-    __slots__ = ("device_type", "identity", "name", "remark", "state")
     __match_args__ = ("node_id", "state", "device_type", "identity", "name", "remark")
 
     def __init__(
@@ -78,8 +77,6 @@ class Scanner(Group):
     heard: the NMT state of each node that was heard. While a scan runs, nothing else should use the SDO channels of its nodes.
     """
 
-    __slots__ = ("_clients", "_ears")
-
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
         self._ears = _Ears(self.inner)
@@ -103,8 +100,6 @@ class Scanner(Group):
 
 class _Ears(Machine):
     """Hears every node's heartbeats and boot-ups. It makes no events: other machines on this network may report them."""
-
-    __slots__ = ("heard",)
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)

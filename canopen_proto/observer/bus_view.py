@@ -17,16 +17,11 @@ from typing import Final, NamedTuple
 
 from canopen_proto.error_codes import error_text
 from canopen_proto.frame import (
-    EMCY,
-    ERROR_CONTROL,
+    BY_THE_NODE,
     EXTENDED,
+    FUNCTION,
     MAX_NODE_ID,
     REMOTE,
-    SDO_SERVER_TO_CLIENT,
-    TPDO1,
-    TPDO2,
-    TPDO3,
-    TPDO4,
     Frame,
 )
 from canopen_proto.frame_bits import frame_bits
@@ -47,7 +42,6 @@ MAX_FINDINGS: Final = 64
 _SLOTS: Final = 10
 """Parts of a second for which frames and bits are counted."""
 _SLOT: Final = SECOND // _SLOTS
-_BY_THE_NODE: Final = frozenset((EMCY, TPDO1, TPDO2, TPDO3, TPDO4, SDO_SERVER_TO_CLIENT, ERROR_CONTROL))
 _ABORT: Final = 0x80
 
 
@@ -178,7 +172,7 @@ class BusView:
             if node is None:
                 node = self._nodes[node_id] = _NodeView(node_id)
             node.rate.add(slot, bits)
-            if not frame.flags & (EXTENDED | REMOTE) and frame.can_id & 0x780 in _BY_THE_NODE:
+            if not frame.flags & (EXTENDED | REMOTE) and frame.can_id & FUNCTION in BY_THE_NODE:
                 node.last_heard, node.heard_by = now, service
             if service == "SDO":
                 node.sdo(frame.data, observation)

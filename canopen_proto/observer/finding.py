@@ -37,8 +37,6 @@ class Gaps:
     it: a late reader took both from its queue, and when they came is not known.
     """
 
-    __slots__ = ("_copied", "is_at_once", "last")
-
     def __init__(self) -> None:
         self.last: Time = -NEVER
         self.is_at_once = False

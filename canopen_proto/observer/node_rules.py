@@ -133,8 +133,6 @@ class _View:
 class NodeRules:
     """See this module's text. deadline: the time at which a heartbeat is late; NEVER if none can be."""
 
-    __slots__ = ("_consumers", "_gaps", "_views", "deadline")
-
     def __init__(self, gaps: Gaps) -> None:
         self._gaps = gaps
         self._views = [_View() for _ in range(MAX_NODE_ID + 1)]

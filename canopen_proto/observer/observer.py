@@ -27,6 +27,7 @@ from canopen_proto.frame import (
     ALL_NODE_IDS,
     EMCY,
     ERROR_CONTROL,
+    FUNCTION,
     KEY_EXTENDED,
     KEY_REMOTE,
     MAX_NODE_ID,
@@ -94,7 +95,6 @@ _SILENCE: Final = 50 * MILLISECOND
 _MAX_TOLD: Final = 1024
 """Pairs of PDOs with one COB-ID of which it is kept that they were told: more than a bus of 127 nodes can have by mistake."""
 _EMPTY: Final = ObjectDictionary((), source="nothing")
-_FUNCTION: Final = 0x780
 _BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
 _PRODUCER_TIME: Final = PRODUCER_HEARTBEAT_TIME.to_bytes(2, "little") + b"\0"
@@ -276,7 +276,7 @@ class Observer:
 
     def _predefined(self, key: RoutingKey) -> _Route:
         """Return the route by the predefined connection set, of 11-bit identifiers. CiA 301 v4.2.0, 7.3.3"""
-        function, node_id = key & _FUNCTION, key & MAX_NODE_ID
+        function, node_id = key & FUNCTION, key & MAX_NODE_ID
         if key & KEY_REMOTE:
             if node_id and function == ERROR_CONTROL:
                 return partial(self._guarding_request, node_id)
@@ -385,7 +385,7 @@ class Observer:
             if pdo.byte_length == len(frame.data):
                 self._statuswords = pdo.statuswords(frame.data) if pdo.has_statusword else ()
                 return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
-        return Meaning(_pdo_name(frame.can_id & _FUNCTION), frame.can_id & MAX_NODE_ID, words.of_bytes, frame)
+        return Meaning(_pdo_name(frame.can_id & FUNCTION), frame.can_id & MAX_NODE_ID, words.of_bytes, frame)
 
     def _pdo(self, pdo: ObservedPdo, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         if len(frame.data) != pdo.byte_length:

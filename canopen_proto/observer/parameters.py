@@ -55,8 +55,6 @@ _FIRST_CHANNELS: Final = range(SDO_SERVER_TO_CLIENT, SDO_CLIENT_TO_SERVER + MAX_
 class ObservedParameters:
     """See this module's text. dictionaries: by node-ID, one for each device that a bus may have."""
 
-    __slots__ = ("_in_file", "_recorded", "_shown", "_stored", "dictionaries")
-
     def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
         self.dictionaries = dictionaries
         self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID

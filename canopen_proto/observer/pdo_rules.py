@@ -65,10 +65,6 @@ class PdoTimings:
     deadline: the time at which a PDO is late for its event timer; NEVER if none can be.
     """
 
-    __slots__ = (
-        "_cycle", "_cyclic", "_gaps", "_is_operational", "_sync_at", "_syncs", "_timings", "deadline",
-    )  # fmt: skip
-
     def __init__(self, is_operational: Callable[[int], bool], gaps: Gaps) -> None:
         self._gaps = gaps
         self._sync_at: Time = -NEVER  # the last SYNC

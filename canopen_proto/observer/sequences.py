@@ -41,8 +41,6 @@ class Sequences:
     since `take`.
     """
 
-    __slots__ = ("_boots", "_scan", "deadline", "ended", "is_part")
-
     def __init__(self) -> None:
         self.deadline: Time = NEVER
         self.is_part = False
@@ -136,19 +134,6 @@ class Sequences:
 class _Fastscan:
     """One fastscan. numbers: the parts of the address that a device has confirmed."""
 
-    __slots__ = (
-        "_bit_check",
-        "_following",
-        "_number",
-        "_part",
-        "begin",
-        "is_confirmed",
-        "is_over",
-        "last",
-        "numbers",
-        "requests",
-    )
-
     def __init__(self, now: Time) -> None:
         self.begin = self.last = now
         self.requests = 0
@@ -185,8 +170,6 @@ class _Fastscan:
 
 class _Boot:
     """The requests to a node since its boot-up, and its answers."""
-
-    __slots__ = ("_aborted", "_aborts", "_reads", "_writes", "begin", "has_frames", "last")
 
     def __init__(self, now: Time) -> None:
         self.begin = self.last = now

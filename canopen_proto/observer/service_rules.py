@@ -39,11 +39,6 @@ _TURNS: Final = 4
 class ServiceRules:
     """See this module's text."""
 
-    __slots__ = (
-        "_counter", "_early", "_emergencies", "_gaps", "_inhibit", "_lengths", "_lss", "_lss_rivals", "_periods",
-        "_producers", "_told",
-    )  # fmt: skip
-
     def __init__(self, gaps: Gaps) -> None:
         self._gaps = gaps
         self._counter: int | None = None  # of the last SYNC

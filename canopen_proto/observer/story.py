@@ -22,14 +22,9 @@ from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.frame import (
     ALL_NODE_IDS,
-    EMCY,
-    ERROR_CONTROL,
+    BY_THE_NODE,
+    FUNCTION,
     MAX_NODE_ID,
-    SDO_SERVER_TO_CLIENT,
-    TPDO1,
-    TPDO2,
-    TPDO3,
-    TPDO4,
     Frame,
 )
 from canopen_proto.machine import MILLISECOND, NEVER, Time
@@ -46,8 +41,6 @@ MISSED: Final = 3
 _ABORT: Final = b"\x80"
 _MISSING: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
-_FUNCTION: Final = 0x780
-_BY_THE_NODE: Final = frozenset((EMCY, TPDO1, TPDO2, TPDO3, TPDO4, SDO_SERVER_TO_CLIENT, ERROR_CONTROL))
 _STATUSWORD: Final = index_of(STATUSWORD)
 
 
@@ -114,7 +107,7 @@ class Story:
         if observation.statuswords:
             for index, word in observation.statuswords:
                 self._statusword(node_id, index, word, now, events)
-        if frame.can_id & _FUNCTION in _BY_THE_NODE:
+        if frame.can_id & FUNCTION in BY_THE_NODE:
             self._alive.add(node_id)
         if service == "boot-up" and not any(each.rule == "boot-up" for each in observation.findings):
             self._tell("boot", node_id, f"it boots{', as it was told to' if node_id in self._is_reset else ''}", now, events)

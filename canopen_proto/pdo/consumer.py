@@ -101,7 +101,6 @@ class PdoLengthUnexpected(Event):
     processed; 0x8220 for a long one, whose mapped bytes are used. number: of the PDO, 1..512, or 0. key: the routing key of its
     frames. timestamp: the transport's, ns, or None."""
 
-    __slots__ = ("emcy_code", "expected", "key", "number", "received", "timestamp")
     __match_args__ = ("node_id", "number", "key", "expected", "received", "emcy_code", "timestamp")
 
     def __init__(
@@ -120,7 +119,6 @@ class PdoTooLate(Event):
     """A synchronous PDO came after the synchronous window and was dropped. late: ns after its end. timestamp: of the frame.
     number: of the PDO, 1..512, or 0. key: the routing key of its frames."""
 
-    __slots__ = ("key", "late", "number", "timestamp")
     __match_args__ = ("node_id", "number", "key", "late", "timestamp")
 
     def __init__(self, node_id: int, number: int, key: RoutingKey, late: Time, timestamp: int | None) -> None:
@@ -135,7 +133,6 @@ class PdoOverdue(Event):
     """A PDO did not come within the event time after the last one. Reported once; the watch starts again with the next PDO.
     number: of the PDO, 1..512, or 0. key: the routing key of its frames. emcy_code: 0x8250."""
 
-    __slots__ = ("emcy_code", "key", "number")
     __match_args__ = ("node_id", "number", "key", "emcy_code")
 
     def __init__(self, node_id: int, number: int, key: RoutingKey, emcy_code: int) -> None:

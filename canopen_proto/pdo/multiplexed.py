@@ -76,7 +76,6 @@ class MpdoReceived(Event):
     the value. An MpdoListener reports the producer's TPDO and object instead. timestamp: of the frame, from the transport.
     """
 
-    __slots__ = ("index", "key", "number", "producer", "subindex", "timestamp", "value")
     __match_args__ = ("node_id", "number", "key", "producer", "index", "subindex", "value", "timestamp")
 
     def __init__(
@@ -104,7 +103,6 @@ class MpdoNotProcessed(Event):
     """An MPDO in destination address mode names an object that we lack, or that no MPDO can write. emcy_code: 0x8230. number: of
     the PDO, 1..512. key: the routing key of its frames. index, subindex: as the frame has them."""
 
-    __slots__ = ("emcy_code", "index", "key", "number", "subindex")
     __match_args__ = ("node_id", "number", "key", "index", "subindex", "emcy_code")
 
     def __init__(self, node_id: int, number: int, key: RoutingKey, index: int, subindex: int, emcy_code: int) -> None:
@@ -176,8 +174,6 @@ def listed(values: Values, lists: range) -> Iterator[int]:
 
 class MpdoConsumer(Machine):
     """Receives a device's RPDOs that are MPDOs; see this module's text. enabled: the node is Operational (read-only)."""
-
-    __slots__ = ("_dispatch", "_pdos", "_routes", "_values", "enabled", "node_id")
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
         """node_id: our own, 1..127. values: the memory to write to."""
@@ -259,8 +255,6 @@ class MpdoConsumer(Machine):
 class MpdoListener(Machine):
     """Receives the TPDOs of one node that are MPDOs in source address mode; see this module's text."""
 
-    __slots__ = ("_keys", "_values", "node_id")
-
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
         """node_id: of the producer, 1..127. values: our image of its objects, which received values update."""
         super().__init__(out)
@@ -316,21 +310,6 @@ def _is_whole(receiver: MpdoConsumer | MpdoListener, number: int, key: RoutingKe
 
 class MpdoProducer(Machine):
     """Sends a device's TPDOs that are MPDOs; see this module's text. enabled: the node is Operational (read-only)."""
-
-    __slots__ = (
-        "_destinations",
-        "_event_due",
-        "_event_time",
-        "_inhibit_time",
-        "_inhibited_until",
-        "_next",
-        "_pending",
-        "_scanned",
-        "_source",
-        "_values",
-        "enabled",
-        "node_id",
-    )
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
         """node_id: our own, 1..127. values: the memory to read from."""

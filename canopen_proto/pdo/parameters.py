@@ -63,19 +63,6 @@ class DevicePdos(Owner):
     recorded session) and I/O modules such as Bürkert's 8645 do so, Lely's do not; CiA 301 leaves it open.
     """
 
-    __slots__ = (
-        "_rules",
-        "_synchronous",
-        "_triggers",
-        "_values",
-        "consumers",
-        "faults",
-        "mpdo_consumer",
-        "mpdo_producer",
-        "producers",
-        "sends_on_start",
-    )
-
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
         self._values = values
         self.sends_on_start = False

@@ -52,7 +52,6 @@ class PdoPeriodsSkipped(Event):
     """The event timer ran late: the PDO was sent once instead of 1 + skipped times. number: of the PDO, 1..512, or 0. key: the
     routing key of its frames."""
 
-    __slots__ = ("key", "number", "skipped")
     __match_args__ = ("node_id", "number", "key", "skipped")
 
     def __init__(self, node_id: int, number: int, key: RoutingKey, skipped: int) -> None:
@@ -66,7 +65,6 @@ class PdoNotSent(Event):
     """A PDO was due, but its store holds a value that the object's type cannot hold: an error of our own application. reason:
     text for people. number: of the PDO, 1..512, or 0. key: the routing key of its frames."""
 
-    __slots__ = ("key", "number", "reason")
     __match_args__ = ("node_id", "number", "key", "reason")
 
     def __init__(self, node_id: int, number: int, key: RoutingKey, reason: str) -> None:

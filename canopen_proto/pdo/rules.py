@@ -65,8 +65,6 @@ _LISTS: Final = {Direction.RPDO: DISPATCHER_LISTS, Direction.TPDO: SCANNER_LISTS
 class PdoWriteRules:
     """The rules of one device. faults: the indices of its invalid mappings."""
 
-    __slots__ = ("_faults", "_values")
-
     def __init__(self, values: Values, faults: Container[int]) -> None:
         self._values = values
         self._faults = faults

@@ -65,8 +65,6 @@ class ProgramMemory:
     is_on_trial: the new one has been started since.
     """
 
-    __slots__ = ("content", "is_on_trial", "previous", "slot")
-
     def __init__(self, program: bytes | None = FIRST_PROGRAM) -> None:
         """program: None if the device comes without one."""
         self.content = bytearray(program or b"")
@@ -138,7 +136,6 @@ class BootLoaderSettings:
 class ProgramStarted(Event):
     """A device runs a program. identification: of it."""
 
-    __slots__ = ("identification",)
     __match_args__ = ("node_id", "identification")
 
     def __init__(self, node_id: int, identification: int) -> None:
@@ -149,13 +146,10 @@ class ProgramStarted(Event):
 class ProgramErased(Event):
     """A device has erased its program."""
 
-    __slots__ = ()
-
 
 class ProgramWritten(Event):
     """A device has received a whole program. error: of FlashError; size: in bytes."""
 
-    __slots__ = ("error", "size")
     __match_args__ = ("node_id", "error", "size")
 
     def __init__(self, node_id: int, error: int, size: int) -> None:
@@ -166,8 +160,6 @@ class ProgramWritten(Event):
 
 class _Alarm(Machine):
     """Rings once."""
-
-    __slots__ = ("bell",)
 
     def __init__(self, out: Outbox, bell: Event) -> None:
         super().__init__(out)
@@ -186,13 +178,9 @@ class _Alarm(Machine):
 class FlashDone(Event):
     """The flash of a device is no longer busy."""
 
-    __slots__ = ()
-
 
 class BootDone(Event):
     """The boot time of a device is over."""
-
-    __slots__ = ()
 
 
 def boot_loader_dictionary(node_id: int, heartbeat_ms: int = HEARTBEAT_MS) -> ObjectDictionary:
@@ -220,10 +208,6 @@ class BootLoader(LocalNode):
 
     memory: what it has without power. runs: its program runs. error: what 0x1F57 shows while it is not busy.
     """
-
-    __slots__ = (
-        "_boot", "_done", "_flash", "_held", "_is_cleared", "_reset", "_stays", "_waiting", "error", "memory", "runs", "settings",
-    )  # fmt: skip
 
     def __init__(
         self,

@@ -19,12 +19,11 @@ from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.testing.armed_fault import ArmedFault, Transit
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import FrameFault, Lie, Refuse, SecondMaster, Sudden
-from canopen_proto.testing.judge import Judge
+from canopen_proto.testing.judge import Judge, Passed
 from canopen_proto.testing.member import WorldMember
 from canopen_proto.testing.patterns import Names, Pattern, as_pattern
 from canopen_proto.testing.seen import SeenFrame, check_never, find
 from canopen_proto.testing.times import nanoseconds
-from canopen_proto.testing.trace import Passed
 
 MOST_WAITING: Final = 4096
 """Frames of one member that wait for the bus: as a driver's queue holds. More are lost, and the trace says so."""

@@ -13,7 +13,24 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import RULES, Observation, Observer
 from canopen_proto.testing.patterns import Names
-from canopen_proto.testing.trace import Passed
+
+
+class Passed(NamedTuple):
+    """See this module's text. time: ns. sender: its name; "" for somebody whom nobody knows.
+
+    fate: what a fault did to it, in words; "" if it came as it was sent. only: the one receiver that this is about; 0: all.
+    """
+
+    time: Time
+    frame: Frame
+    sender: str
+    fate: str = ""
+    only: int = 0
+
+    @property
+    def was_heard(self) -> bool:
+        """Whether the bus has seen it: it was not lost on its way, and it is no copy that one receiver alone has got."""
+        return self.fate != "lost" and not self.only
 
 
 class Witnessed(NamedTuple):

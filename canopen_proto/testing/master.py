@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, ObjectDictionary
@@ -21,11 +21,8 @@ from canopen_proto.testing.patterns import Names
 T = TypeVar("T")
 
 
-class RunUntil(Protocol):
-    """`World.run_until`."""
-
-    def __call__(self, condition: Callable[[], object], limit: Time) -> None:
-        """See there."""
+RunUntil: TypeAlias = Callable[[Callable[[], object], Time], None]
+"""`World.run_until`."""
 
 
 class WorldMaster(WorldMember):

@@ -27,7 +27,7 @@ from typing import Final
 from canopen_data.description import DeviceDescription
 from canopen_data.eds.ini import EdsDocument, Section, fold
 from canopen_data.eds.reader import read_eds
-from canopen_data.eds.writer_document import changed_text
+from canopen_data.eds.writer_document import LINE, changed_text
 from canopen_data.eds.writer_sections import OBJECT_LISTS, Entries, Sections, sections_of
 from canopen_data.findings import Finding, Severity, first_of
 from canopen_proto import indices
@@ -42,7 +42,6 @@ _COUNTS: Final = ("SupportedObjects", "SubNumber", "NrOfEntries", "Lines")
 _WRITTEN_DOWN: Final = ("ObjectType", "DataType", "AccessType")
 _NUMBERS: Final = ("ObjectType", "DataType", "LowLimit", "HighLimit", "DefaultValue", "ParameterValue", "PDOMapping", "ObjFlags")
 _VALUES: Final = ("LowLimit", "HighLimit", "DefaultValue", "ParameterValue")
-_LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER: Final = re.compile(r"(\$NODEID\+)?(0[xX][0-9A-Fa-f]+|-?[0-9]+)", re.ASCII)
 _PLACE: Final = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
 _COMPACT: Final = "compactsubobj"
@@ -129,7 +128,7 @@ class _Repairs:
 
     def without_duplicates(self, document: EdsDocument) -> str:
         """Return the text without sections that only repeat an earlier one."""
-        lines: list[str] = _LINE.findall(document.text)
+        lines: list[str] = LINE.findall(document.text)
         first: dict[str, Section] = {}
         for section in document.sections:
             twin = first.setdefault(fold(section.name), section)

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from canopen_master.motion.moving import Progress as Progress
     from canopen_master.motion.moving import Together as Together
     from canopen_master.motion.moving import together as together
-    from canopen_master.motion.record_format import RecordError as RecordError
+    from canopen_master.motion.record_files import RecordError as RecordError
     from canopen_master.motion.record_reader import MotionRecord as MotionRecord
     from canopen_master.motion.record_reader import read_record as read_record
     from canopen_master.motion.recording import Recorder as Recorder

@@ -27,7 +27,6 @@ class PdoDiffers(Event):
     """A device has a PDO set up otherwise than its file describes it. The device's own mapping is used. difference: which PDO,
     and what both say."""
 
-    __slots__ = ("difference",)
     __match_args__ = ("node_id", "difference")
 
     def __init__(self, node_id: int, difference: PdoDifference) -> None:

@@ -48,7 +48,6 @@ PERIODS_HEARD: Final = 2
 class NotHeld(Event):
     """A drive that was enabled will not stop by itself if this master falls silent. drive: its name. reason: what it lacks."""
 
-    __slots__ = ("drive", "reason")
     __match_args__ = ("node_id", "drive", "reason")
 
     def __init__(self, node_id: int, drive: str, reason: str) -> None:

@@ -40,7 +40,7 @@ from canopen_gateway.errors import (
 )
 from canopen_master import errors
 from canopen_master.claims.channel_claim import ChannelTakenError
-from canopen_master.motion.record_format import RecordError
+from canopen_master.motion.record_files import RecordError
 from canopen_master.motion.set_point_check import FASTER, NO_SCALE
 from canopen_master.simulation.hooks import ScriptError
 from canopen_master.simulation.parameter_keeper import StateFileError

@@ -10,9 +10,9 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import ERROR_CONTROL, KEY_REMOTE, REMOTE, Frame, routing_key
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Machine, Outbox, Time
 from canopen_proto.manager.boot.assignment import Assignment, Startup
-from canopen_proto.manager.boot.commands import NmtCommands
 from canopen_proto.manager.boot.entry import BootEntry, NetworkEntry
 from canopen_proto.manager.boot.network_boot import NetworkBoot
+from canopen_proto.manager.boot.node_boot import NmtCommands
 from canopen_proto.manager.boot.outcome import BootEnded
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster

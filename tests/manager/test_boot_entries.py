@@ -11,8 +11,8 @@ from canopen_proto.dictionary import Object, ObjectDictionary, Values, Variable
 from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError, Outbox
 from canopen_proto.manager.boot.assignment import Assignment, Startup
-from canopen_proto.manager.boot.commands import NmtCommands
 from canopen_proto.manager.boot.entry import BootEntry, NetworkEntry, entries_of
+from canopen_proto.manager.boot.node_boot import NmtCommands
 from canopen_proto.nmt import NmtMaster
 
 DCFGEN = bytes.fromhex("02000000 1710 00 02000000 C800 0220 00 02000000 3412")

@@ -11,9 +11,8 @@ import pytest
 from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.manager.boot.assignment import Assignment
-from canopen_proto.manager.boot.commands import NmtCommands
 from canopen_proto.manager.boot.entry import BootEntry
-from canopen_proto.manager.boot.node_boot import boot_node
+from canopen_proto.manager.boot.node_boot import NmtCommands, boot_node
 from canopen_proto.manager.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.manager.programs.download import (
     ProgramDownloadError,

@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from canopen_master import Host, Master, NodeSilentError, open_master, powerballs
 from canopen_master.direct import Session
 from canopen_master.direct.connection import Connection
-from canopen_master.direct.drive import COUNTS, DirectDrive
-from canopen_master.direct.hand_sync import HandSync
+from canopen_master.direct.drive import COUNTS, DirectDrive, HandSync
 from canopen_master.participant.participant import ON_TIME
 from canopen_master.simulation.host import IN_PROCESS
 from canopen_proto.abort import AbortCode

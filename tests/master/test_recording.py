@@ -14,8 +14,7 @@ import pytest
 from canopen_master import Chain, open_master
 from canopen_master.errors import PackageMissingError
 from canopen_master.motion import recording
-from canopen_master.motion.record_files import CsvFile
-from canopen_master.motion.record_format import OF_CHAIN, OF_JOINT, RecordedJoint, RecordError, is_whole
+from canopen_master.motion.record_files import OF_CHAIN, OF_JOINT, CsvFile, RecordedJoint, RecordError, is_whole
 from canopen_master.motion.record_reader import MotionRecord, is_record, read_record
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.units import Unit

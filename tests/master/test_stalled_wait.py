@@ -9,11 +9,11 @@ from tests.master.world import virtual_time
 
 
 class Going:
-    """A generator that goes on for ever."""
+    """A stream of targets that goes on for ever."""
 
     is_finished = is_at_rest = False
 
-    def advance(self, period: float) -> PathPoint:
+    def step(self) -> PathPoint:
         return PathPoint([], [], [])
 
     def stop(self) -> None:

@@ -24,7 +24,7 @@ from canopen_transports.tcp.framing import (
     lost_line,
     shown,
 )
-from canopen_transports.tcp.outgoing import Outgoing
+from canopen_transports.tcp.server import Outgoing
 
 
 def in_chunks(data: bytes, cuts: list[int]) -> list[bytes]:

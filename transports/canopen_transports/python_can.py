@@ -51,7 +51,6 @@ from canopen_transports.messages import MessageRefusedError, frame_of, message_o
 from canopen_transports.readers import (
     READ_POLL,
     DescriptorReader,
-    Reader,
     ThreadReader,
     comes_from,
     descriptor_is_enough,
@@ -141,7 +140,7 @@ class PythonCanTransport(AsyncResource):
         # Some of the others understand a time limit as "wait for the acknowledge".
         self._send_limit = {"timeout": 0.0} if self._is_socket else {"timeout": ROOM_TIME} if self._is_serial_line else {}
         self._send_blocks = not (self._is_socket or comes_from(bus, _SEND_DOES_NOT_BLOCK))
-        self._reader: Reader
+        self._reader: DescriptorReader | ThreadReader
         if fd is not None and descriptor_is_enough(bus):
             self._reader = DescriptorReader(self.locator, fd, self._queue, self._take)
         else:

@@ -15,7 +15,6 @@ import socket
 import stat
 import struct
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
@@ -41,26 +40,8 @@ _SO_MEMINFO: Final = 55  # linux/sock_diag.h: nine counters; the last one counts
 _MEMINFO: Final = struct.Struct("9I")
 
 
-class Reader(ABC):
-    """See this module's text. is_over: nothing more will come; what came before is still in the queue."""
-
-    is_over = False
-
-    @abstractmethod
-    async def get(self) -> Received | Report | None:
-        """Return the next frame or report, or None: look again. If cancelled, it took none."""
-
-    @abstractmethod
-    def wake(self) -> None:
-        """Make a task that waits in `get` look again. Only in the loop's thread, and before `stop`."""
-
-    @abstractmethod
-    async def stop(self) -> None:
-        """Give the bus back, which was closed or `is_over`."""
-
-
-class DescriptorReader(Reader):
-    """Lets the loop wait for the file descriptor."""
+class DescriptorReader:
+    """Lets the loop wait for the file descriptor. is_over: nothing more will come; what came before is still in the queue."""
 
     def __init__(self, locator: str, fd: int, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._loop = current_loop()
@@ -71,8 +52,10 @@ class DescriptorReader(Reader):
         self._socket = _socket_of(fd) if is_socket(fd) else None
         self._dropped = 0
         self._is_woken = False
+        self.is_over = False
 
     async def get(self) -> Received | Report | None:
+        """Return the next frame or report, or None: look again. If cancelled, it took none."""
         if self.is_over or self._is_woken or not self._queue.is_empty():
             await self._loop.checkpoint()
         else:
@@ -86,10 +69,12 @@ class DescriptorReader(Reader):
         return self._queue.take()
 
     def wake(self) -> None:
+        """Make a task that waits in `get` look again. Only in the loop's thread, and before `stop`."""
         self._is_woken = True
         self._loop.notify_closing(self._fd)
 
     async def stop(self) -> None:
+        """Give the bus back, which was closed or `is_over`."""
         if self._socket is not None:
             self._socket.close()
 
@@ -106,14 +91,18 @@ class DescriptorReader(Reader):
         return lost
 
 
-class ThreadReader(Reader):
-    """Reads in a thread until the transport is closed, the bus is gone, or the first frame after the end of the run."""
+class ThreadReader:
+    """Reads in a thread until the transport is closed, the bus is gone, or the first frame after the end of the run.
+
+    is_over: as of DescriptorReader.
+    """
 
     def __init__(self, locator: str, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._queue = queue
         self._take = take
         self._loop = current_loop()
         self._token = self._loop.token()
+        self.is_over = False
         self._thread = threading.Thread(target=self._run, name=f"receive {locator}", daemon=True)
         self._thread.start()
 

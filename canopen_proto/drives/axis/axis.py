@@ -52,7 +52,6 @@ class AxisStateChanged(Event):
     """The drive's statusword shows another state than before (UNKNOWN: its node booted). statusword: as last heard. axis: of the
     node, 0 for the first one. previous, state: by CiA 402, see `State`."""
 
-    __slots__ = ("axis", "previous", "state", "statusword")
     __match_args__ = ("node_id", "previous", "state", "statusword", "axis")
 
     def __init__(self, node_id: int, previous: State, state: State, statusword: int, axis: int = 0) -> None:

@@ -9,92 +9,26 @@ numbers: PDOs with their mappings, SDO clients, events, errors of SDO. `on_devic
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeAlias, TypeVar
 
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Variable
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import MAX_AXES, axes_of, dictionary_of_axis, swapped
-from canopen_proto.emcy import EmcyConsumer
 from canopen_proto.machine import LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.producer import PdoProducer
-from canopen_proto.procedures.objects import ObjectAccess
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
-from canopen_proto.sdo.client import Block, SdoClient, SdoUploaded
+from canopen_proto.sdo.client import Block, SdoUploaded
 
 V = TypeVar("V")
 Listener = Callable[[Collection[Mux], Time], None]
 
 
-class Images(Protocol):
-    """The known values of a node; see `Values`."""
-
-    @property
-    def store(self) -> MutableMapping[Mux, Value]:
-        """The values by mux."""
-
-
-class AxisNode(ObjectAccess, Protocol):
-    """All that an axis uses of its node; see this module's text. Each member is as in RemoteNode."""
-
-    @property
-    def values(self) -> Images:
-        """See RemoteNode."""
-
-    @property
-    def heard_at(self) -> Mapping[Mux, Time]:
-        """See RemoteNode."""
-
-    @property
-    def nmt_state(self) -> NmtState | None:
-        """See RemoteNode."""
-
-    @property
-    def emcy(self) -> EmcyConsumer:
-        """See RemoteNode."""
-
-    @property
-    def sdo(self) -> SdoClient:
-        """See RemoteNode."""
-
-    @property
-    def rpdos(self) -> Mapping[int, PdoProducer]:
-        """See RemoteNode."""
-
-    def on_device(self, mux: Mux) -> Mux:
-        """Return the number that an object of this axis has on the device; the other way round for a number of the device."""
-
-    def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
-        """See RemoteNode."""
-
-    def fresh(self, mux: Mux, now: Time, max_age: Time = FRESH) -> Value | None:
-        """See RemoteNode."""
-
-    def rpdo_of(self, key: Mux) -> PdoProducer | None:
-        """See RemoteNode."""
-
-    def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
-        """See RemoteNode."""
-
-    def keep_commanded(self, mux: Mux) -> None:
-        """See RemoteNode."""
-
-    def may_hold(self, mux: Mux) -> set[Value | None]:
-        """See RemoteNode."""
-
-    def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
-        """See RemoteNode."""
-
-    def add_listener(
-        self,
-        listener: Listener | None = None,
-        on_boot: Callable[[], None] | None = None,
-        on_sync: Callable[[Time], None] | None = None,
-    ) -> None:
-        """See RemoteNode."""
+AxisNode: TypeAlias = "RemoteNode | FurtherAxis"
+"""A node as one of its axes sees it; see this module's text."""
 
 
 class AxisWatchdog(Protocol):
@@ -146,6 +80,7 @@ class FurtherAxis:
         self._news: dict[Collection[Mux], tuple[Mux, ...]] = {}  # the objects of each PDO, translated once
 
     def on_device(self, mux: Mux) -> Mux:
+        """Return the number that an object of this axis has on the device; the other way round for a number of the device."""
         return swapped(mux, self._axis)
 
     @property

@@ -51,7 +51,6 @@ class DigitalInputsChanged(Event):
     """The inputs of a drive have changed. inputs: as they are now, `Input` and the maker's bits; changed: those that differ.
     axis: of the node."""
 
-    __slots__ = ("axis", "changed", "inputs")
     __match_args__ = ("node_id", "inputs", "changed", "axis")
 
     def __init__(self, node_id: int, inputs: Input, changed: Input, axis: int = 0) -> None:

@@ -74,7 +74,6 @@ class FollowingLost(Event):
     seems to be off its path; 0: they come in time.
     """
 
-    __slots__ = ("axis", "cause", "is_silent", "late", "still_follows")
     __match_args__ = ("node_id", "cause", "is_silent", "still_follows", "axis", "late")
 
     def __init__(
@@ -91,7 +90,6 @@ class FollowingLost(Event):
 class TurnToRead(Event):
     """It is this drive's turn to have an object read: see `Following.await_turn`. axis: of the node."""
 
-    __slots__ = ("axis",)
     __match_args__ = ("node_id", "axis")
 
     def __init__(self, node_id: int, axis: int = 0) -> None:

@@ -53,7 +53,6 @@ class HomingProgressed(Event):
     """A drive that homes as CiA 402 says shows another status of its homing. position: in the user's unit, as last heard.
     axis: of the node."""
 
-    __slots__ = ("axis", "position", "status")
     __match_args__ = ("node_id", "status", "position", "axis")
 
     def __init__(self, node_id: int, status: HomingStatus, position: float | None, axis: int = 0) -> None:

@@ -49,7 +49,7 @@ from canopen_proto.drives.axis.failures import as_drive_errors
 from canopen_proto.drives.axis.units import DriveUnits, read_number, read_units
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
-from canopen_proto.drives.trajectory.limit_check import JointLimits
+from canopen_proto.drives.trajectory.limit_check import EXACT, JointLimits
 from canopen_proto.drives.trajectory.path import POSITION_TOLERANCE
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
@@ -70,8 +70,6 @@ _OF_DRIVE: Final = "of the drive"
 FROM_SPEED: Final = f"the default: the speed limit, reached in {DEFAULT_RAMP:g} s"
 FROM_ACCELERATION: Final = f"the default: the limit of the acceleration, reached in {DEFAULT_ONSET:g} s"
 """The sources of limits that nobody gave."""
-EXACT: Final = 1 + 1e-6
-"""A path at the limit itself is not refused for a rounding error of floating point."""
 ROUNDING: Final = 2 * POSITION_TOLERANCE
 """So far before the end of what an object can hold does a path end, in the user's unit, and as a part of positions above 1: the
 check of a path lets it go beyond its limits by half of that."""

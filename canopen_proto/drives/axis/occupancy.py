@@ -8,8 +8,6 @@ class Occupant:
     halts the axis. taken_over_by: the stop that ended it; "" if none did.
     """
 
-    __slots__ = ("is_ending", "name", "taken_over_by")
-
     def __init__(self, name: str) -> None:
         self.name = name
         self.is_ending = False
@@ -20,8 +18,6 @@ class Occupancy:
     """See this module's text. occupant: None if nothing moves the axis. stops: how many run. is_inside: whether code of one of
     these procedures runs at this moment, so that those it calls are parts of it.
     """
-
-    __slots__ = ("is_inside", "occupant", "stops")
 
     def __init__(self) -> None:
         self.occupant: Occupant | None = None

@@ -11,7 +11,7 @@ from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
-from canopen_proto.drives.axis.limits import EXACT, limits_of
+from canopen_proto.drives.axis.limits import limits_of
 from canopen_proto.drives.axis.motionless_mode import takes
 from canopen_proto.drives.axis.reasons import LIMIT_SWITCHES
 from canopen_proto.drives.axis.state import enable, set_mode, settle
@@ -27,6 +27,7 @@ from canopen_proto.drives.cia402.positioning import (
     RotaryDirection,
 )
 from canopen_proto.drives.cia402.states import Command, ControlBit, State, StatusBit
+from canopen_proto.drives.trajectory.limit_check import EXACT
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeoutError, current_time, sleep
@@ -76,11 +77,7 @@ def move_to(
     yield from require_profile_speed(axis)
     relation = ModeControl.RELATIVE if relative else 0
     try:
-        if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
-            yield from halt(axis)
-        if axis.unanswered:
-            yield from settle(axis)
-        yield from set_mode(axis, Mode.PROFILE_POSITION)
+        yield from select_profile_position(axis)
         yield from _end_at_rest(axis)
         yield from set_options(axis, direction)
         yield from enable(axis)
@@ -105,6 +102,15 @@ def move_to(
     except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
+
+
+def select_profile_position(axis: Axis) -> Procedure[None]:
+    """Go to profile position; at rest before, if it was in another mode or may still obey what it has not answered."""
+    if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
+        yield from halt(axis)
+    if axis.unanswered:
+        yield from settle(axis)
+    yield from set_mode(axis, Mode.PROFILE_POSITION)
 
 
 def _end_at_rest(axis: Axis) -> Procedure[None]:

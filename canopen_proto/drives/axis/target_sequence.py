@@ -24,7 +24,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors, require_reference
-from canopen_proto.drives.axis.halting import halt, halt_after
+from canopen_proto.drives.axis.halting import halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.profile_position import (
     OTHER_TARGET,
@@ -35,10 +35,11 @@ from canopen_proto.drives.axis.profile_position import (
     require_option,
     require_profile_speed,
     require_within_limits,
+    select_profile_position,
     wait_for_acknowledge,
     wait_for_target,
 )
-from canopen_proto.drives.axis.state import enable, set_mode, settle
+from canopen_proto.drives.axis.state import enable
 from canopen_proto.drives.axis.watching import DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl
@@ -116,11 +117,7 @@ def move_along(axis: Axis, targets: Iterable[ProfileTarget], *, timeout: Time) -
     feeder = _Feeder(axis, points, timeout)
     yield from feeder.prepare()
     try:
-        if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
-            yield from halt(axis)
-        if axis.unanswered:
-            yield from settle(axis)
-        yield from set_mode(axis, Mode.PROFILE_POSITION)
+        yield from select_profile_position(axis)
         yield from enable(axis)
         for number in range(len(points)):
             yield from feeder.give(number)

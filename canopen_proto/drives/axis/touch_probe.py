@@ -53,7 +53,6 @@ class ProbeLatched(Event):
     over; None: the drive does not count them. axis: of the node. is_positive: at the rising edge of its input; else at the
     falling one."""
 
-    __slots__ = ("axis", "is_positive", "missed", "position", "probe")
     __match_args__ = ("node_id", "probe", "is_positive", "position")
 
     def __init__(self, node_id: int, probe: int, is_positive: bool, position: float, missed: int | None, axis: int = 0) -> None:

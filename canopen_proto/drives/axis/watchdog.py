@@ -98,8 +98,6 @@ class Hold:
     by (index, subindex), in the order of the changes. gap: why the drive will not stop by itself; "" if it will.
     is_taken: `take_hold` has ended. guards: the guarding is ours."""
 
-    __slots__ = ("axes", "before", "gap", "guards", "is_taken", "node")
-
     def __init__(self, node: RemoteNode, axis: int = 0) -> None:
         self.node = node
         self.axes = {axis}

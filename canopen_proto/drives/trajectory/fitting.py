@@ -102,8 +102,6 @@ class _Problem:
     Each row has four coefficients for positions k - 1 to k + 2 of the samples; those outside are 0.
     """
 
-    __slots__ = ("_bands", "_half", "_held", "_positions", "_rest", "_rows", "_z")
-
     def __init__(self, steps: Sequence[float], positions: Sequence[float], half: float) -> None:
         self._half = half
         self._positions = list(positions)

@@ -4,9 +4,9 @@
     entry.py          `BootEntry`: what the master knows of one node; `entries_of` reads them from a master's dictionary
     outcome.py        `BootOutcome`: how the boot-up of a node ended, with its letter
     node_boot.py      `boot_node`: the boot-up of one node; comparison.py: `compare_node`, the same without a write
+                      `NmtCommands`: NMT commands with the pause between them that the network wants
     network_boot.py   `NetworkBoot`: all nodes side by side, their start, and the running network
     member.py         `BootingNode`: a node of the network, and whether it may be started
-    commands.py       `NmtCommands`: NMT commands with the pause between them that the network wants
 
 Import from these modules.
 """

@@ -46,10 +46,9 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time
-from canopen_proto.manager.boot.commands import NmtCommands
 from canopen_proto.manager.boot.entry import CONSUMER_FACTOR, NetworkEntry
 from canopen_proto.manager.boot.member import BootingNode
-from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node, watch_by
+from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NmtCommands, NodeHook, boot_node, watch_by
 from canopen_proto.manager.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.network import Network, OutageChanged
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
@@ -85,7 +84,6 @@ _FOR_ALL: Final = (LossResponse.STOP_ALL, LossResponse.RESET_ALL)
 class NodeLost(Event):
     """A booted node has shown no sign of life in time. reaction: of the master."""
 
-    __slots__ = ("reaction",)
     __match_args__ = ("node_id", "reaction")
 
     def __init__(self, node_id: int, reaction: LossResponse) -> None:
@@ -96,7 +94,6 @@ class NodeLost(Event):
 class NetworkStarted(Event):
     """All mandatory nodes are ready. running: the nodes that were started so far, or left running."""
 
-    __slots__ = ("running",)
     __match_args__ = ("node_id", "running")
 
     def __init__(self, node_id: int, running: tuple[int, ...]) -> None:
@@ -110,7 +107,6 @@ class NodeSupervised(Event):
     timeout 0: no longer, since it answers and sends none.
     """
 
-    __slots__ = ("timeout",)
     __match_args__ = ("node_id", "timeout")
 
     def __init__(self, node_id: int, timeout: Time) -> None:
@@ -120,8 +116,6 @@ class NodeSupervised(Event):
 
 class _BootRequested(Event):
     """The host wants a node to be booted again."""
-
-    __slots__ = ()
 
 
 _OF_ABSENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING)

@@ -21,6 +21,9 @@ MAX_RESTARTS times.
 
 Source: CiA 302-2 v4.1.0, boot NMT slave (figures 4 to 6, 8 and 11), as Lely core's master (nmt_boot.c) cites and follows it: the
 steps and letters are the same. The order of requests is that of this master, as recorded.
+
+`NmtCommands` sends NMT commands with a pause between them: object 0x102A of a master, the NMT inhibit time (CiA 302-2, as Lely
+has it).
 """
 
 from __future__ import annotations
@@ -32,13 +35,12 @@ from typing import Final, TypeAlias
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
-from canopen_proto.manager.boot.commands import NmtCommands
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.manager.boot.entry import CONSUMER_FACTOR, BootEntry
 from canopen_proto.manager.boot.outcome import BootLetter, BootOutcome, BootStep, Shown
 from canopen_proto.manager.parameters.restore import STORE_TIMEOUT
 from canopen_proto.manager.programs.identity import ProgramControl
-from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.procedures.steps import (
     NOT_CONFIRMED,
@@ -49,9 +51,48 @@ from canopen_proto.procedures.steps import (
     act,
     current_time,
     download,
+    sleep,
     upload,
 )
 from canopen_proto.remote_node import RemoteNode
+
+
+class NmtCommands:
+    """Sends the NMT commands of procedures that run side by side, with a pause between two of them.
+
+    pause: ns, 0 for none.
+    """
+
+    def __init__(self, nmt: NmtMaster, pause: Time = 0) -> None:
+        if pause < 0:
+            raise LocalProtocolError(f"the pause between NMT commands is {pause} ns, less than 0")
+        self.nmt = nmt
+        self.pause = pause
+        self._free_at: Time = -NEVER
+
+    def send(self, command: NmtCommand, node_id: int, condition: Callable[[], bool] = lambda: True) -> Procedure[bool]:
+        """Send a command to a node, or to all (0), when the pause since the one before is over.
+
+        condition: asked right before; if it does not hold any more, nothing is sent. Returns whether the command was sent.
+        """
+        yield from self.wait()
+        return (yield from act(lambda now: self._send_now(command, node_id, condition, now)))
+
+    def wait(self) -> Procedure[None]:
+        """Wait until the pause is over."""
+        while left := (yield from act(self._time_left)):
+            yield from sleep(left)
+
+    def _time_left(self, now: Time) -> Time:
+        return max(self._free_at - now, 0)
+
+    def _send_now(self, command: NmtCommand, node_id: int, condition: Callable[[], bool], now: Time) -> bool:
+        if not condition():
+            return False
+        self.nmt.send(command, node_id, now)
+        self._free_at = now + self.pause
+        return True
+
 
 TRIES: Final = 4
 """How often a read is sent that is not answered."""

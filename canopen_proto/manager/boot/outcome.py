@@ -124,7 +124,6 @@ def _shown(value: int | str) -> str:
 class BootEnded(Event):
     """The boot-up of a node ended; see `outcome`."""
 
-    __slots__ = ("outcome",)
     __match_args__ = ("node_id", "outcome")
 
     def __init__(self, node_id: int, outcome: BootOutcome) -> None:

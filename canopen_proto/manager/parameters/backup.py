@@ -121,7 +121,6 @@ class Backup:
 class ObjectRead(Event):
     """The result of one object of a backup is known. done, total: numbers of objects; total 0: not known."""
 
-    __slots__ = ("done", "index", "result", "subindex", "total")
     __match_args__ = ("node_id", "index", "subindex", "result", "done", "total")
 
     def __init__(self, node_id: int, index: int, subindex: int, result: ReadResult, done: int, total: int) -> None:

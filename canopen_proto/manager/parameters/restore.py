@@ -178,7 +178,6 @@ class ObjectRestored(Event):
     """One write of a restore was confirmed (and read back, if asked for). done, total: numbers of writes of the plan. data: the
     bytes that were written."""
 
-    __slots__ = ("data", "done", "index", "subindex", "total")
     __match_args__ = ("node_id", "index", "subindex", "data", "done", "total")
 
     def __init__(self, node_id: int, index: int, subindex: int, data: bytes, done: int, total: int) -> None:

@@ -44,7 +44,6 @@ _INTEGER_SIZES: Final = range(1, 9)
 class WalkProgress(Event):
     """A walk has reached an index. done, total: numbers of indices; found: the number of objects found so far."""
 
-    __slots__ = ("done", "found", "index", "total")
     __match_args__ = ("node_id", "index", "done", "total", "found")
 
     def __init__(self, node_id: int, index: int, done: int, total: int, found: int) -> None:

@@ -196,7 +196,6 @@ class ProgramDownloadError(ProcedureError):
 class ProgramProgress(Event):
     """A program download begins a step, or has written more of its data. done, total: bytes."""
 
-    __slots__ = ("done", "step", "total")
     __match_args__ = ("node_id", "step", "done", "total")
 
     def __init__(self, node_id: int, step: ProgramStep, done: int, total: int) -> None:

@@ -39,8 +39,6 @@ class AnswerDue(Event):
 class DelayedAnswers(Machine):
     """The accesses that wait for their answer."""
 
-    __slots__ = ("_count", "_waiting")
-
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
         self._count = 0

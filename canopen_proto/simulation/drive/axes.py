@@ -24,8 +24,6 @@ _OF_NODE = mux(indices.COMMUNICATION_CYCLE_PERIOD)
 class AxisValues:
     """The values of one axis, 1..7. own: as its drive sees them; they are copied from and to the node's."""
 
-    __slots__ = ("_axis", "_node", "_places", "_shown", "own")
-
     def __init__(self, node: Values, axis: int) -> None:
         self._axis = axis
         self._node = node
@@ -64,8 +62,6 @@ class AxisValues:
 
 class Axes:
     """The drives of one node, as its application; see this module's text. drives: by the number of their axis."""
-
-    __slots__ = ("_values", "drives")
 
     def __init__(self, drives: Sequence[Drive], values: Sequence[AxisValues]) -> None:
         """values: of the further drives."""

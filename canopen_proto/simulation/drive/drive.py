@@ -78,28 +78,6 @@ class Drive(Machine):
     the first axis.
     """
 
-    __slots__ = (
-        "_after_stop",
-        "_controlword",
-        "_deviates_since",
-        "_faults",
-        "_homing",
-        "_inputs",
-        "_is_opening",
-        "_lasting_faults",
-        "_mode",
-        "_modes",
-        "_ready_at",
-        "_servo",
-        "_torque_is_off",
-        "axis",
-        "mode",
-        "node_id",
-        "settings",
-        "state",
-        "values",
-    )
-
     def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings, axis: int = 0) -> None:
         super().__init__(out)
         self.axis = axis
@@ -556,8 +534,6 @@ class LateDrive(Drive):
     Controlwords and modes (6060h) take effect `DriveSettings.reaction` after they came, in the order in which they came; all else
     is as in `Drive`. Until then statusword and mode display show the old values: a master that looks too early sees the past.
     """
-
-    __slots__ = ("_late", "_obeys")
 
     def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings, axis: int = 0) -> None:
         super().__init__(out, node_id, values, settings, axis)

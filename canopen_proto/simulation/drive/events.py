@@ -10,7 +10,6 @@ from canopen_proto.multiplexer import Mux
 class DriveStateChanged(Event):
     """The drive went to another state. transition: its number in the standard, 0 to 16. previous: the state that it left."""
 
-    __slots__ = ("axis", "previous", "state", "transition")
     __match_args__ = ("node_id", "previous", "state", "transition", "axis")
 
     def __init__(self, node_id: int, previous: State, state: State, transition: int, axis: int = 0) -> None:
@@ -24,7 +23,6 @@ class DriveStateChanged(Event):
 class StatuswordChanged(Event):
     """6041h now holds another value, `statusword`; the node sends the event-driven TPDOs that map it."""
 
-    __slots__ = ("axis", "statusword")
     __match_args__ = ("node_id", "statusword", "axis")
 
     def __init__(self, node_id: int, statusword: int, axis: int = 0) -> None:
@@ -36,7 +34,6 @@ class StatuswordChanged(Event):
 class ModeChanged(Event):
     """The drive shows another mode of operation in 6061h than before."""
 
-    __slots__ = ("axis", "mode")
     __match_args__ = ("node_id", "mode", "axis")
 
     def __init__(self, node_id: int, mode: int, axis: int = 0) -> None:
@@ -49,7 +46,6 @@ class InputsChanged(Event):
     """The digital inputs (60FDh) or the status of the touch probes (60B9h) have changed. mux: of the object; the node sends the
     event-driven TPDOs that map it."""
 
-    __slots__ = ("axis", "mux")
     __match_args__ = ("node_id", "mux", "axis")
 
     def __init__(self, node_id: int, mux: Mux, axis: int = 0) -> None:
@@ -61,7 +57,6 @@ class InputsChanged(Event):
 class DriveFault(Event):
     """A fault has occurred. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
 
-    __slots__ = ("axis", "error_code", "error_register")
     __match_args__ = ("node_id", "error_code", "error_register", "axis")
 
     def __init__(self, node_id: int, error_code: int, error_register: int, axis: int = 0) -> None:
@@ -74,7 +69,6 @@ class DriveFault(Event):
 class DriveFaultCleared(Event):
     """A fault that DriveFault reported was reset. error_code: that of 603Fh and the EMCY."""
 
-    __slots__ = ("axis", "error_code")
     __match_args__ = ("node_id", "error_code", "axis")
 
     def __init__(self, node_id: int, error_code: int, axis: int = 0) -> None:

@@ -46,7 +46,6 @@ from canopen_proto.simulation.drive.settings import Shape, Track
 class HomingFinished(Event):
     """A homing has ended. status: COMPLETE, INTERRUPTED or ERROR_STOPPED. method: of 6098h, or the drive's own."""
 
-    __slots__ = ("method", "status")
     __match_args__ = ("node_id", "status", "method")
 
     def __init__(self, node_id: int, status: HomingStatus, method: int) -> None:
@@ -145,8 +144,6 @@ _UNDER_WAY: Final = (HomingStatus.IN_PROGRESS, HomingStatus.ATTAINED, HomingStat
 
 class Homing(OperationMode):
     """Homing mode (hm). is_referenced: a homing found its edge since power-on, and no other has begun after it."""
-
-    __slots__ = ("_edge", "_limit", "_method", "_seek", "_seeks", "_status", "_stood_at", "is_referenced")
 
     def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
         super().__init__(servo, out, node_id)

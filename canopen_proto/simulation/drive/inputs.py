@@ -78,8 +78,6 @@ class _Crossing(NamedTuple):
 class Inputs:
     """The inputs of a drive. `look` after each motion of the servo."""
 
-    __slots__ = ("_axis", "_function", "_out", "_position", "_servo", "_told", "node_id")
-
     def __init__(self, servo: Servo, out: Outbox, node_id: int, axis: int = 0) -> None:
         self._axis = axis
         self._servo = servo

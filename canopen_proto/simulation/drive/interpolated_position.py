@@ -43,13 +43,10 @@ _RING: Final = 1
 class SetPointUnderrun(Event):
     """A SYNC found no set-point while the axis moved. The axis stops by the halt option code, and interpolation is over."""
 
-    __slots__ = ()
-
 
 class SetPointLost(Event):
     """A set-point came while the buffer was full. set_point: the position that is lost."""
 
-    __slots__ = ("set_point",)
     __match_args__ = ("node_id", "set_point")
 
     def __init__(self, node_id: int, set_point: int) -> None:
@@ -112,8 +109,6 @@ class RecordBuffer:
 
 class InterpolatedPosition(SynchronousMode):
     """Interpolated position mode (ip); see this module's text."""
-
-    __slots__ = ("_buffer", "_size")
 
     listens_to = frozenset(
         (objects.INTERPOLATION_SET_POINT, objects.INTERPOLATION_VELOCITY, objects.BUFFER_CLEAR, objects.BUFFER_POSITION)

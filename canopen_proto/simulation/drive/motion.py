@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from typing import Final, TypeAlias
 
+from canopen_proto.drives.trajectory.polynomial import with_constant_jerk
 from canopen_proto.machine import NEVER, Time
 
 _SECONDS: Final = 1e-9
@@ -54,12 +55,7 @@ class Profile:
         while self.pieces[number][0] > time:  # the first piece begins at 0
             number -= 1
         begin, position, velocity, acceleration, jerk = self.pieces[number]
-        elapsed = time - begin
-        return (
-            position + (velocity + (0.5 * acceleration + jerk * elapsed / 6.0) * elapsed) * elapsed,
-            velocity + (acceleration + 0.5 * jerk * elapsed) * elapsed,
-            acceleration + jerk * elapsed,
-        )
+        return with_constant_jerk(time - begin, position, velocity, acceleration, jerk)
 
     def at_rest(self, now: Time) -> bool:
         """Return whether the motion is over: the axis rests from now on."""
@@ -250,7 +246,5 @@ def follow(profile: Profile, position: float, since: Time, now: Time, lag: float
 def _settled(piece: Piece, time: float, lag: float) -> float:
     """Return the position of an axis that has followed this piece for ever: u - lag u' + lag² u'' - lag³ j."""
     begin, position, velocity, acceleration, jerk = piece
-    elapsed = time - begin
-    here = position + (velocity + (0.5 * acceleration + jerk * elapsed / 6.0) * elapsed) * elapsed
-    speed = velocity + (acceleration + 0.5 * jerk * elapsed) * elapsed
-    return here - lag * (speed - lag * (acceleration + jerk * elapsed - lag * jerk))
+    here, speed, change = with_constant_jerk(time - begin, position, velocity, acceleration, jerk)
+    return here - lag * (speed - lag * (change - lag * jerk))

@@ -38,8 +38,6 @@ class DriveNode(LocalNode):
     them on.
     """
 
-    __slots__ = ("_answers", "_axes", "_delayed", "drive", "drives")
-
     def __init__(self, out: Outbox, node_id: int, settings: DriveSettings, dictionary: ObjectDictionary | None = None) -> None:
         """Make the drive. settings: its shape and its mechanics. dictionary: by default that of its shape. An object of
         UNSET_BY_ZERO that is 0 in it, and would keep the drive from moving, counts as not set.

@@ -18,8 +18,6 @@ _NO_TURN: Final = 60.0  # units in a turn of a motor that does not tell (608Fh):
 class Parameters:
     """The values in a device's store, read when they are needed."""
 
-    __slots__ = ("settings", "store")
-
     def __init__(self, store: dict[Mux, Value], settings: DriveSettings) -> None:
         self.store = store
         self.settings = settings

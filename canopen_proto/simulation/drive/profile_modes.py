@@ -60,8 +60,6 @@ class Dwell:
 class OperationMode:
     """The base of all modes. By itself it is "no mode", in which the axis stands. See this module's text."""
 
-    __slots__ = ("controlword", "due", "node_id", "out", "released", "servo")
-
     listens_to: frozenset[Mux] = frozenset()
     """The objects that act when they are written; all others are read when they are needed."""
 
@@ -137,8 +135,6 @@ class OperationMode:
 class ProfileVelocity(OperationMode):
     """Profile velocity mode (pv): follows 60FFh as soon as it is written, with the ramps of 6083h and 6084h."""
 
-    __slots__ = ("_is_slow", "_reached_target", "_speed", "_target", "_threshold", "_window")
-
     listens_to = frozenset((objects.TARGET_VELOCITY,))
 
     def enter(self) -> None:
@@ -200,8 +196,6 @@ class ProfileVelocity(OperationMode):
 
 class Velocity(OperationMode):
     """Velocity mode (vl) of frequency converters; see this module's text."""
-
-    __slots__ = ("_ramp",)
 
     listens_to = frozenset((objects.VL_TARGET_VELOCITY, objects.VL_VELOCITY_MIN_AMOUNT, objects.VL_VELOCITY_MAX_AMOUNT))
 

@@ -64,8 +64,6 @@ class _SetPoint(NamedTuple):
 class ProfilePosition(OperationMode):
     """Profile position mode; see this module's text."""
 
-    __slots__ = ("_acknowledged", "_goal", "_reached_target", "_running", "_waiting", "_window")
-
     def enter(self) -> None:
         self._running: _SetPoint | None = None
         self._waiting: deque[_SetPoint] = deque()

@@ -60,27 +60,6 @@ class Servo(Parameters):
     whether limit switches stop the axis; homing sets it.
     """
 
-    __slots__ = (
-        "_lag",
-        "_plant",
-        "_step",
-        "_target",
-        "demand",
-        "demand_position",
-        "demand_velocity",
-        "has_met_switch",
-        "internal_limit",
-        "is_blocked",
-        "is_powered",
-        "is_settled",
-        "is_stopped_by_switch",
-        "obeys_switches",
-        "position",
-        "time",
-        "velocity",
-        "zero",
-    )
-
     def __init__(self, store: dict[Mux, Value], settings: DriveSettings) -> None:
         super().__init__(store, settings)
         self.time: Time = -NEVER  # before any time of a clock

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from canopen_proto.drives.trajectory.polynomial import turning_point, with_constant_jerk
 from canopen_proto.machine import Time
 from canopen_proto.simulation.drive.motion import Piece, Profile
 
@@ -87,11 +88,10 @@ class _Way:
 
     def _keep(self, duration: float, jerk: float) -> None:
         if duration > 0.0:
-            velocity, acceleration = self.velocity, self.acceleration
-            self.pieces.append((self.time, self.position, velocity, acceleration, jerk))
-            self.position += (velocity + (0.5 * acceleration + jerk * duration / 6.0) * duration) * duration
-            self.velocity += (acceleration + 0.5 * jerk * duration) * duration
-            self.acceleration += jerk * duration
+            position, velocity, acceleration = self.position, self.velocity, self.acceleration
+            self.pieces.append((self.time, position, velocity, acceleration, jerk))
+            end = with_constant_jerk(duration, position, velocity, acceleration, jerk)
+            self.position, self.velocity, self.acceleration = end
             self.time += duration
 
     def stop_after(self, velocity: float) -> float:
@@ -108,17 +108,14 @@ class _Way:
             self.change(0.0)
             return
         direction = math.copysign(1.0, left)
-        slow, fast = 0.0, self.limits.velocity
-        if (self.stop_after(fast * direction) - target) * direction <= 0.0:
-            slow = fast
-        else:
-            for _ in range(_HALVINGS):
-                middle = 0.5 * (slow + fast)
-                if (self.stop_after(middle * direction) - target) * direction <= 0.0:
-                    slow = middle
-                else:
-                    fast = middle
-        self.change(slow * direction)
+
+        def goes_beyond(speed: float) -> bool:
+            return not (self.stop_after(speed * direction) - target) * direction <= 0.0
+
+        speed = self.limits.velocity
+        if goes_beyond(speed):
+            speed, _ = turning_point(goes_beyond, speed, _HALVINGS)
+        self.change(speed * direction)
         self.cruise(target - self.stop_after(0.0))
         self.change(0.0)
 

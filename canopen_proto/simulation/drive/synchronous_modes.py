@@ -43,7 +43,6 @@ _MISSED_SYNCS: Final = 3
 class SyncOverdue(Event):
     """In ip or csp, no SYNC came for `timeout` ns. The axis brakes by the quick stop ramp, and the mode stops following."""
 
-    __slots__ = ("timeout",)
     __match_args__ = ("node_id", "timeout")
 
     def __init__(self, node_id: int, timeout: Time) -> None:
@@ -53,8 +52,6 @@ class SyncOverdue(Event):
 
 class SynchronousMode(OperationMode):
     """The common part of ip, csp, csv and cst: whether the mode follows, and when it stops following."""
-
-    __slots__ = ("_follows", "_sync_timeout", "_warning")
 
     def enter(self) -> None:
         self.due = NEVER
@@ -93,8 +90,6 @@ class SynchronousMode(OperationMode):
 class CyclicMode(SynchronousMode):
     """The common part of csp, csv and cst: each follows from its begin on, and takes the present set-point at each SYNC."""
 
-    __slots__ = ()
-
     def enter(self) -> None:
         super().enter()
         self._follows = True
@@ -131,8 +126,6 @@ class CyclicMode(SynchronousMode):
 
 class CyclicPosition(CyclicMode):
     """Cyclic synchronous position mode (csp)."""
-
-    __slots__ = ("_is_new",)
 
     listens_to = frozenset((objects.TARGET_POSITION,))
 

@@ -43,8 +43,6 @@ def _halt_or_coast(mode: OperationMode) -> None:
 class ProfileTorque(OperationMode):
     """Profile torque mode (tq)."""
 
-    __slots__ = ()
-
     listens_to = frozenset({
         objects.TARGET_TORQUE,
         objects.TORQUE_SLOPE,
@@ -84,8 +82,6 @@ class ProfileTorque(OperationMode):
 class _SpeedOrTorque(CyclicMode):
     """The common part of csv and cst: a set-point of 0 moves nothing."""
 
-    __slots__ = ()
-
     def stopped_by_switch(self) -> None:
         """Go on following: each SYNC is looked at again, and one that leads away from the switch is obeyed."""
 
@@ -98,8 +94,6 @@ class _SpeedOrTorque(CyclicMode):
 
 class CyclicVelocity(_SpeedOrTorque):
     """Cyclic synchronous velocity mode (csv)."""
-
-    __slots__ = ()
 
     def _target(self) -> int:
         return self.servo.parameter(objects.TARGET_VELOCITY)
@@ -116,8 +110,6 @@ class CyclicVelocity(_SpeedOrTorque):
 
 class CyclicTorque(_SpeedOrTorque):
     """Cyclic synchronous torque mode (cst)."""
-
-    __slots__ = ()
 
     def _halt(self) -> None:
         _halt_or_coast(self)

@@ -17,13 +17,12 @@ from canopen_proto.testing.strategies.conversations import (
     sdo_conversations,
 )
 from canopen_proto.testing.strategies.descriptions import damaged_texts, device_descriptions, eds_texts
-from canopen_proto.testing.strategies.devices import PlannedDevice, device_dictionaries, drive_behaviours, networks
+from canopen_proto.testing.strategies.devices import PlannedDevice, device_dictionaries, drive_behaviours, networks, pdo_mappings
 from canopen_proto.testing.strategies.faults import fault_plans
 from canopen_proto.testing.strategies.frames import frames, near_valid_frames, random_frames
 from canopen_proto.testing.strategies.identifiers import cob_ids, node_ids
 from canopen_proto.testing.strategies.machines import MasterAgainstDevice, MasterAgainstDevices
 from canopen_proto.testing.strategies.objects import data_types, object_dictionaries, objects, texts, values, variables
-from canopen_proto.testing.strategies.pdos import pdo_mappings
 
 __all__ = [
     "MasterAgainstDevice",

@@ -46,8 +46,6 @@ class Subject:
     """A description under examination. node_id: 1..127 if commissioned, else None. shared: findings about a line that stands for
     many sub-objects (CompactSubObj), by code, line and column."""
 
-    __slots__ = ("_rules", "description", "dictionary", "node_id", "shared")
-
     def __init__(self, description: DeviceDescription, rules: Iterable[Rule]) -> None:
         self.description = description
         self.dictionary = description.dictionary

@@ -16,8 +16,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-_NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
-_LINE_END: Final = re.compile(r"\r\n|\r|\n")
+NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
+LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _KANA_AND_KANJI: Final = re.compile("[\u3000-\u30ff\u4e00-\u9fff\uff01-\uff5e]")
 _NOT_ASCII_RUN: Final = re.compile(r"[^\x00-\x7f]+")
 _COMMON: Final = 0.8
@@ -52,13 +52,13 @@ def text_of(data: bytes, encoding: str = "") -> tuple[str, str, tuple[str, int, 
         return (data[3:] if marked else data).decode(), "utf-8-sig" if marked else "utf-8", None
     except UnicodeDecodeError as error:
         guess = _guess(data)
-        chosen = guess or ("latin-1" if _NOT_CP1252.search(data) else "cp1252")
+        chosen = guess or ("latin-1" if NOT_CP1252.search(data) else "cp1252")
         how = f"{_NAMES[chosen]}, which is a guess: --encoding names another one" if guess else _NAMES[chosen]
         return data.decode(chosen), chosen, _remark(error.object, error, f"not UTF-8; read as {how}")
 
 
 def _remark(data: bytes, error: UnicodeDecodeError, message: str) -> tuple[str, int, int]:
-    before = _LINE_END.split(data[: error.start].decode("latin-1"))
+    before = LINE_END.split(data[: error.start].decode("latin-1"))
     return message, len(before), len(before[-1]) + 1
 
 

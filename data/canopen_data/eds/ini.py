@@ -23,6 +23,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
+from canopen_data.eds.encodings import LINE_END
 from canopen_data.findings import Finding, Severity
 from canopen_proto.explained import counted
 
@@ -41,7 +42,6 @@ MAX_QUOTED: Final = 60
 _SECTION: Final = re.compile(r"\n[ \t]*\[")
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,8})|(name|value|denotation))?", re.ASCII)
 _HASH_LINE: Final = re.compile(r"\n([ \t]*)#")
-_LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
 """The standard prints the name with one m; half of the tools write two."""
 
@@ -77,6 +77,12 @@ class Findings:
         """Add a finding. line, column: from 1; 0 = the whole file. code: of the finding. message: for people."""
         if not self.full(severity):
             self._list.append(Finding(severity, code, message, self.source, line, column))
+
+    def in_section(self, section: Section | None, key: str, severity: Severity, code: str, message: str) -> None:
+        """Add a finding about a key of a section, "" for the section as a whole; None: about the whole file."""
+        if not self.full(severity):
+            place, where = ((0, 0), "") if section is None else (section.place_of(key), f"in [{quoted(section.name)}]: ")
+            self._list.append(Finding(severity, code, f"{where}{message}", self.source, *place))
 
     def all(self) -> tuple[Finding, ...]:
         """Return the findings in the order of the file."""
@@ -167,8 +173,6 @@ class EdsDocument:
     denotations of sub-objects, by index and "name", "value" or "denotation".
     """
 
-    __slots__ = ("encoding", "lists", "named", "objects", "sections", "subs", "text")
-
     def __init__(self, text: str, encoding: str, findings: Findings) -> None:
         self.text = text
         self.encoding = encoding
@@ -187,7 +191,7 @@ class EdsDocument:
     @property
     def newline(self) -> str:
         """The line end of the first line; a line feed if there is none."""
-        found = _LINE_END.search(self.text)
+        found = LINE_END.search(self.text)
         return "\n" if found is None else found[0]
 
     def section(self, name: str) -> Section | None:

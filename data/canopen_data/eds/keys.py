@@ -36,8 +36,6 @@ _COMMENT: Final = re.compile(r"line([0-9]{1,6})", re.ASCII)
 class Fields:
     """The values of one section, which may be missing, as texts, numbers and flags."""
 
-    __slots__ = ("_findings", "_section", "values")
-
     def __init__(self, section: Section | None, findings: Findings) -> None:
         self._section = section
         self._findings = findings
@@ -46,10 +44,8 @@ class Fields:
     def warn(self, code: str, message: str, key: str = "", severity: Severity = Severity.WARNING) -> None:
         """Add a finding about the section, or about one of its values. code: of the finding. message: for people. key: of the
         value, "" for the section."""
-        if self._section is not None and not self._findings.full(severity):
-            line, column = self._section.place_of(key)
-            message = f"in [{quoted(self._section.name)}]: {message}"
-            self._findings.add(severity, code, message, line, column)
+        if self._section is not None:
+            self._findings.in_section(self._section, key, severity, code, message)
 
     def text(self, key: str) -> str:
         """Return a text; "" if there is none. key: in any case of letters."""

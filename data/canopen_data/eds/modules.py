@@ -258,7 +258,4 @@ class Modules:
         return Object(index, name, ObjectType.RECORD, MappingProxyType(variables))
 
     def _tell(self, section: Section | None, severity: Severity, message: str, key: str = "") -> None:
-        if not self._findings.full(severity):
-            line, column = (0, 0) if section is None else section.place_of(key)
-            where = "" if section is None else f"in [{quoted(section.name)}]: "
-            self._findings.add(severity, "modules", f"{where}{message}", line, column)
+        self._findings.in_section(section, key, severity, "modules", message)

@@ -40,7 +40,7 @@ _COMMENT: Final = re.compile(r"[#;]")
 _CUT: Final = "the comment after it was left out; a comment has a line of its own"
 
 _LIMITS: Final = {data_type: range_of(data_type) for data_type in DataType}
-_TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
+TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 _REALS: Final = {DataType.REAL32: struct.Struct(">f"), DataType.REAL64: struct.Struct(">d")}
 _TIMES: Final = (DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)
 _WORDS: Final = {"true": 1, "false": 0}
@@ -86,14 +86,14 @@ def read_value(text: str, data_type: DataType) -> Reading:
     """Return a default or configured value of that type. An empty text gives NOTHING."""
     if not text:
         return NOTHING
-    cut = None if data_type in _TEXTS else _COMMENT.search(text)
+    cut = None if data_type in TEXTS else _COMMENT.search(text)
     if cut is not None and cut.start():
         reading = read_value(text[: cut.start()].rstrip(), data_type)
         return reading if reading[3] else (*reading[:2], _with(text, _CUT), False)
     limits = _LIMITS[data_type]
     if limits is not None:
         return _integer(text, data_type, *limits)
-    if data_type in _TEXTS:
+    if data_type in TEXTS:
         return text, False, "", False
     if data_type in _REALS:
         return _real(text, data_type)

@@ -17,11 +17,19 @@ seconds.
 
 Left out: [Tools] and object links, which are for people.
 
-Source: CiA 306-1 v1.4.0.
+**Sections that were not read** are reported, since an object may be lost in one. The name of a section tells its purpose. The
+index of an object in another spelling (`[0x2002]`, `[2002h]`), and a name much like one of the standard (`[OptionalObject]`,
+`[DeviceInfos]`), are errors: the section was meant, but is left out. Sections of CiA 306 that we do not read (tools, object
+links) give no finding. All others are a maker's own: a notice.
+
+Source: CiA 306-1 v1.4.0; the names of sections: 4.4 to 4.8 and 5.
 """
 
 from __future__ import annotations
 
+import difflib
+import re
+from collections.abc import Collection
 from os import PathLike
 from types import MappingProxyType
 from typing import Final
@@ -34,20 +42,78 @@ from canopen_data.eds.ini import MAX_FILE_SIZE, MAX_QUOTED, EdsDocument, Finding
 from canopen_data.eds.keys import Fields
 from canopen_data.eds.modules import Modules
 from canopen_data.eds.numbers import read_number
-from canopen_data.eds.unused import report_unused
-from canopen_data.eds.variables import OBJECT_FLAGS, Variables
+from canopen_data.eds.variables import OBJECT_FLAGS, TYPES, Variables
 from canopen_data.findings import DictionaryError, Severity
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.model import WITH_FIELDS, ObjectDictionary
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 
-_TYPES: Final = {int(each): each for each in DataType}
+_NAMES: Final = {
+    each.lower(): each
+    for each in (
+        "FileInfo",
+        "DeviceInfo",
+        "DummyUsage",
+        "Comments",
+        "MandatoryObjects",
+        "OptionalObjects",
+        "ManufacturerObjects",
+        "DeviceComissioning",
+        "SupportedModules",
+        "ConnectedModules",
+        "DynamicChannels",
+        "Tools",
+    )
+}
+_OTHERS: Final = re.compile(
+    r"m[0-9]{1,6}(?:moduleinfo|comments|fixedobjects|subextends|subext[0-9a-f]{1,4}|fixed(?:obj)?[0-9a-f]{1,4}(?:sub[0-9a-f]+)?)"
+    r"|tool[0-9]{1,6}|[0-9a-f]{4}objectlinks",
+    re.ASCII,
+)
+_SHORT: Final = re.compile(r"([0-9a-f]{1,3})(?:sub1)?", re.ASCII)
+_LIKE_AN_OBJECT: Final = re.compile(
+    r"(?:0?x)?0*[0-9a-f]{4}h?(?:(?:sub|var|name|value|index|obj)[0-9a-z]*)?|sub0*[0-9a-f]{4}.*", re.ASCII
+)
+_NO_LETTERS_OR_DIGITS: Final = re.compile(r"[\W_]+")
+_ALIKE: Final = 0.8
+
+
+def report_unused(document: EdsDocument, findings: Findings, types: Collection[int]) -> None:
+    """Report each section that the reader does not use. types: the data types that were looked up; one tool names their sections
+    without leading zeros."""
+    for name, section in document.named.items():
+        short = _SHORT.fullmatch(name)
+        is_type = short is not None and int(short[1], 16) in types
+        if name not in _NAMES and _OTHERS.fullmatch(name) is None and not is_type:
+            _report(section, name, findings)
+    for (index, kind), section in document.lists.items():
+        whole = document.objects.get(index)
+        if whole is None or whole.get("CompactSubObj") is None:
+            said = f"[{quoted(section.name)}] was left out; a list of {kind}s is for a CompactSubObj, and [{index:04X}] has none"
+            _tell(section, Severity.ERROR, said, findings)
+
+
+def _report(section: Section, name: str, findings: Findings) -> None:
+    bare = _NO_LETTERS_OR_DIGITS.sub("", name)
+    near = difflib.get_close_matches(bare[:100], _NAMES, n=1, cutoff=_ALIKE)
+    if _LIKE_AN_OBJECT.fullmatch(bare) is not None and any(each.isdigit() for each in bare):
+        what = "objects have the names 0001 to FFFF, sub-objects 1018sub1"
+        _tell(section, Severity.ERROR, f"[{quoted(section.name)}] was left out; {what}", findings)
+    elif near:
+        _tell(section, Severity.ERROR, f"[{quoted(section.name)}] was left out; is [{_NAMES[near[0]]}] meant?", findings)
+    else:
+        _tell(section, Severity.NOTICE, f"[{quoted(section.name)}] is not a section of CiA 306, and was left out", findings)
+
+
+def _tell(section: Section, severity: Severity, message: str, findings: Findings) -> None:
+    findings.add(severity, "unused-section", message, section.line, 1)
+
+
 _OBJECT_TYPES: Final[dict[str | None, ObjectType]] = {
     text: each for each in ObjectType for text in (str(int(each)), f"0x{int(each):X}", f"0x0{int(each):X}")
 }
 _CODES: Final = {int(each) for each in ObjectType}
-_WITH_SUBS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 _SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
 _NO_SUBS: Final[dict[int, Section]] = {}
 
@@ -163,17 +229,17 @@ class _Objects:
         values = section.body.values
         is_compact = values.get("compactsubobj", "0") not in ("0", "", "0x0")
         name = section.title if section.title is not None else values.get("parametername", "")
-        if subs and object_type not in _WITH_SUBS and (object_type is not ObjectType.VAR or set(subs) - {0, 0xFF}):
+        if subs and object_type not in WITH_FIELDS and (object_type is not ObjectType.VAR or set(subs) - {0, 0xFF}):
             message = f"a {object_type.name} has no sub-objects; taken as RECORD"
             self._variables.warn(section, "ObjectType", "object-type", message)
             object_type = ObjectType.RECORD
-        if object_type not in _WITH_SUBS and not subs and not is_compact:
+        if object_type not in WITH_FIELDS and not subs and not is_compact:
             if object_type is ObjectType.NULL or (object_type is ObjectType.DEFTYPE and "datatype" not in values):
                 return self._whole(section, index, name, object_type, {}, None)
             variable = self._variables.read(section, index, 0)
             return Object(index, name, object_type, MappingProxyType({0: variable}), *_of_single(variable))
         code = self._variables.number(section, "DataType", 0xFFFF) or None
-        likely = _TYPES.get(code) if code is not None and object_type is ObjectType.ARRAY else None
+        likely = TYPES.get(code) if code is not None and object_type is ObjectType.ARRAY else None
         found = self._subs(index, subs, likely)
         if is_compact:
             found = self.compact.array(section, index, found)
@@ -243,7 +309,7 @@ class _Objects:
         """Check SubNumber: the number of sub-objects, without 255, which describes the structure."""
         text = section.body.values.get("subnumber", "")
         if not text:
-            if object_type in _WITH_SUBS:
+            if object_type in WITH_FIELDS:
                 self._variables.warn(section, "SubNumber", "sub-number", "SubNumber is missing")
             return
         count = len(found)

@@ -65,7 +65,7 @@ _NUMBERS: Final = {
 }
 """By type: whether it has limits, and its greatest whole number."""
 _DECIMAL: Final = re.compile(r"[1-9][0-9]{0,18}", re.ASCII)
-_TYPES: Final = {int(each): each for each in DataType}
+TYPES: Final = {int(each): each for each in DataType}
 _TEXTS_OF_TYPES: Final[Mapping[str, DataType]] = {
     text: each for each in DataType for text in (f"0x{each:04X}", f"0x{each:X}", f"0x{each:04x}", str(int(each)))
 }
@@ -214,17 +214,14 @@ class Variables:
             return
         self._told += 1
         keys = [key for key in reversed(values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
-        if keys and not self._findings.full(Severity.NOTICE):
-            names = ", ".join(quoted(key) for key in keys[:5])
-            message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
-            self._findings.add(Severity.NOTICE, "unknown-key", message, *section.place_of(keys[0]))
+        if keys:
+            message = f"CiA 306 has no {', '.join(map(quoted, keys[:5]))}{' ...' if len(keys) > 5 else ''}"
+            self._findings.in_section(section, keys[0], Severity.NOTICE, "unknown-key", message)
 
     def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
         """Add a finding about a key of a section. code: of the finding. message: for people."""
         self._told += 1
-        if not self._findings.full(severity):
-            line, column = section.place_of(key)
-            self._findings.add(severity, code, f"in [{quoted(section.name)}]: {message}", line, column)
+        self._findings.in_section(section, key, severity, code, message)
 
     def _remark(self, section: Section, key: str, remark: str, lost: bool) -> None:
         self.warn(section, key, "value", f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
@@ -261,10 +258,10 @@ class Variables:
         """Return the type for a text that the table lacks."""
         text = section.body.values.get("datatype", "")
         number, remark = read_number(text) if text else (None, "")
-        if number in _TYPES:
+        if number in TYPES:
             if remark:
                 self.warn(section, "DataType", "number", f"DataType {quoted(text)!r}: {remark}")
-            return _TYPES[number]
+            return TYPES[number]
         described = None if number is None or number < 0x20 else self._described_type(number)
         if described is not None:
             return described
@@ -275,8 +272,7 @@ class Variables:
         elif not text and read_number(section.body.values.get("objecttype", ""))[0] == ObjectType.DOMAIN:
             return DataType.DOMAIN
         else:
-            known = find_standard(index, subindex) if index < PROFILES else None
-            guess = DataType.OCTET_STRING if known is None else known.data_type
+            guess = likely_type(index, subindex)
         reason = f"DataType {quoted(text)!r} is not a type for values" if text else "DataType is missing"
         self.warn(section, "DataType", "data-type", f"{reason}; taken as {guess.name}")
         return guess
@@ -290,7 +286,7 @@ class Variables:
         elif (whole := self._document.objects.get(code)) is not None:
             text = whole.get("DataType")
         number = read_number(text)[0] if text else None
-        return None if number is None else _TYPES.get(number)
+        return None if number is None else TYPES.get(number)
 
     def _odd_access(self, section: Section, index: int, subindex: int) -> Access:
         text = section.body.values.get("accesstype", "")
@@ -300,8 +296,20 @@ class Variables:
             if len(bare) != len(text):
                 self.warn(section, "AccessType", "access", "the comment after AccessType was left out")
             return access
-        known = find_standard(index, subindex) if index < PROFILES else None
-        access = Access.RW if known is None else known.access
+        access = likely_access(index, subindex)
         reason = f"AccessType {quoted(text)!r} is none of {', '.join(Access)}" if text else "AccessType is missing"
         self.warn(section, "AccessType", "access", f"{reason}; taken as {access}")
         return access
+
+
+def likely_type(index: int, subindex: int) -> DataType:
+    """Return the type for an object without one in its file: the standard's, else OCTET_STRING."""
+    standard = find_standard(index, subindex) if index < PROFILES else None
+    return DataType.OCTET_STRING if standard is None else standard.data_type
+
+
+def likely_access(index: int, subindex: int) -> Access:
+    """Return the access for an object without one in its file: the standard's, else rw; the device refuses what it does not
+    allow."""
+    standard = find_standard(index, subindex) if index < PROFILES else None
+    return Access.RW if standard is None else standard.access

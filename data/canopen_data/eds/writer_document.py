@@ -24,7 +24,7 @@ from canopen_data.eds.writer_sections import Entries, Sections
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub[0-9a-f]+|name|value|denotation)?")
 _HEX: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)")
 _NUMBER: Final = re.compile(r"0[xX][0-9A-Fa-f]+|0|[1-9][0-9]*")
-_LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
+LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 
 
 def changed_text(document: EdsDocument, before: Sections, after: Sections) -> str:
@@ -75,7 +75,7 @@ class _Editor:
     """The lines of a file, and the changes to make. Lines count from 1; 0 is the place before the first."""
 
     def __init__(self, document: EdsDocument) -> None:
-        self.lines: list[str] = _LINE.findall(document.text)
+        self.lines: list[str] = LINE.findall(document.text)
         self.places: dict[str, list[Section]] = {}
         for section in document.sections:
             self.places.setdefault(fold(section.name), []).append(section)

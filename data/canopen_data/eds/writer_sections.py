@@ -35,6 +35,7 @@ from canopen_data.eds.writer_values import (
     text_beside,
     value_text,
 )
+from canopen_proto.dictionary.model import WITH_FIELDS
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
 
 Entries: TypeAlias = dict[str, str]
@@ -43,7 +44,6 @@ Sections: TypeAlias = dict[str, Entries]
 """By name, in the order of the file."""
 
 OBJECT_LISTS: Final = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
-_HAS_SUB_OBJECTS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 
 
 def sections_of(description: DeviceDescription) -> Sections:
@@ -78,7 +78,7 @@ def object_sections(each: Object) -> Sections:
     """Return the sections of one object: its own, and one for each sub-object if it has them."""
     name = f"{each.index:04X}"
     single = each.variables.get(0)
-    if single is not None and len(each.variables) == 1 and each.object_type not in _HAS_SUB_OBJECTS:
+    if single is not None and len(each.variables) == 1 and each.object_type not in WITH_FIELDS:
         called = each.name if each.name in single.names else single.name
         return {name: _variable(single, called, each.object_type, each)}
     whole = {"ParameterName": one_line(each.name)}
@@ -86,7 +86,7 @@ def object_sections(each: Object) -> Sections:
     whole["ObjectType"] = f"0x{_object_type(each):X}"
     if each.data_type is not None:
         whole["DataType"] = f"0x{each.data_type:04X}"
-    if each.variables or each.object_type in _HAS_SUB_OBJECTS:
+    if each.variables or each.object_type in WITH_FIELDS:
         whole["SubNumber"] = str(len(each.variables))
     _add(whole, "ObjFlags", _flags(each.object_flags))
     subs = {
@@ -98,7 +98,7 @@ def object_sections(each: Object) -> Sections:
 
 def _object_type(each: Object) -> ObjectType:
     """Return the object's type, but RECORD for a VAR-like type with sub-objects: only a faulty compact form gives that."""
-    if each.object_type in _HAS_SUB_OBJECTS or not each.variables:
+    if each.object_type in WITH_FIELDS or not each.variables:
         return each.object_type
     if each.object_type is ObjectType.VAR and each.variables.keys() <= {0, 0xFF}:
         return ObjectType.VAR

@@ -19,7 +19,8 @@ import math
 import re
 from typing import Final
 
-from canopen_data.eds.numbers import read_number, read_value
+from canopen_data.eds.encodings import LINE_END
+from canopen_data.eds.numbers import TEXTS, read_number, read_value
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_number, text_for_people
 from canopen_proto.dictionary.objects import Variable
@@ -29,9 +30,7 @@ BYTES_KEY: Final = "_ParameterBytes"
 NOT_READ_KEY: Final = "_NotRead"
 """Key of the reason why a backup has no value of an object."""
 
-_TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 _PLAIN_TEXT: Final = re.compile(r"[!-~](?:[ -~]*[!-~])?")
-_LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _TIMES: Final = (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_WINDOW_LENGTH, indices.HIGH_RESOLUTION_TIME_STAMP)
 """UNSIGNED32 of the communication profile area that are microseconds."""
 
@@ -92,7 +91,7 @@ def check_kept(variable: Variable) -> None:
         ("configured", variable.configured, variable.configured_adds_node_id),
     )
     for what, value, adds_node_id in given:
-        if value is None or value != value or (isinstance(value, str) and variable.data_type in _TEXTS):
+        if value is None or value != value or (isinstance(value, str) and variable.data_type in TEXTS):
             continue
         text = value_text(variable, value, adds_node_id)
         found, _, remark, _ = read_value(text, variable.data_type)
@@ -115,7 +114,7 @@ def _not_kept(variable: Variable, what: str, value: Value, remark: str) -> Value
 
 def one_line(text: str) -> str:
     """Return the text in a form that one line of a file can hold."""
-    return _LINE_END.sub(" ", text).strip()
+    return LINE_END.sub(" ", text).strip()
 
 
 def _integer(variable: Variable, value: int) -> str:

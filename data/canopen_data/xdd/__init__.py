@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from canopen_data.xdd.document import XddDocument as XddDocument
+    from canopen_data.xdd.reader import XddDocument as XddDocument
     from canopen_data.xdd.reader import read_xdd as read_xdd
 else:
     from canopen_proto.lazy_names import lazy_names

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from typing import Final
 from xml.parsers import expat
 
+from canopen_data.eds.encodings import NOT_CP1252
 from canopen_data.eds.ini import MAX_FILE_SIZE, Findings
 from canopen_data.findings import Severity
 
@@ -48,7 +49,6 @@ _ENCODINGS: Final = {
     "cp1252": "cp1252",
     "utf-16": "utf-8",  # no byte order mark and one byte a character: it is not UTF-16
 }
-_NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
 _ATTRIBUTE: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _TAG: Final = re.compile(rb"""<[^\s<>"'/]*(?:"[^"]*"|'[^']*'|[^<>"'])*""")
 
@@ -163,7 +163,7 @@ def _decode(data: bytes, findings: XddFindings) -> tuple[str, str]:
         return data.decode(encoding), encoding
     except UnicodeDecodeError as error:
         start = error.start
-    fitting = "latin-1" if _NOT_CP1252.search(data) else "cp1252"
+    fitting = "latin-1" if NOT_CP1252.search(data) else "cp1252"
     message = f"the byte 0x{data[start]:02X} cannot be read as {encoding}; the whole file was read as {fitting}"
     findings.add(Severity.WARNING, "encoding", message, data.count(b"\n", 0, start) + 1, start - data.rfind(b"\n", 0, start))
     return data.decode(fitting), fitting

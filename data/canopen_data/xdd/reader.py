@@ -17,11 +17,13 @@ PDOmapping names a direction: with access rw, TPDO makes it rwr and RPDO rww.
 
 Left out, with a warning: modules. Left out: profiles of networks (nodelists), and the parts of the device profile for people or
 for a programmable device (functions, characteristics, graphical elements).
+
+`XddDocument` finds the place of each object in the file, to which a finding about it points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, TypeAlias
@@ -29,19 +31,74 @@ from typing import Final, TypeAlias
 from canopen_data.describing import lists_of
 from canopen_data.description import DeviceDescription, FileKind
 from canopen_data.eds.ini import quoted
+from canopen_data.eds.variables import TYPES, likely_access, likely_type
 from canopen_data.findings import DictionaryError, Severity
 from canopen_data.xdd import device
-from canopen_data.xdd.document import XddDocument
-from canopen_data.xdd.elements import Element, XddFindings, parse
+from canopen_data.xdd.elements import Element, XddFindings, parse, place_in
 from canopen_data.xdd.parameters import ACCESS, ApplicationProcess, XddParameter
 from canopen_data.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number_of, value_of
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
-from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.multiplexer import Mux, mux
 
-PROFILES: Final = 0x2000
+_OF_EDS: Final = {"parametername": "name", "parametervalue": "actualvalue"}
+"""Names of CiA 306 that differ from those of CiA 311, apart from upper and lower case."""
+_OF_PARAMETER: Final = {
+    "defaultvalue": ("defaultValue",),
+    "actualvalue": ("actualValue",),
+    "lowlimit": ("allowedValues", "range", "minValue"),
+    "highlimit": ("allowedValues", "range", "maxValue"),
+    "unit": ("unit",),
+    "description": ("description",),
+    "denotation": ("denotation",),
+    "name": ("label",),
+}
+"""Where a parameter holds the fields that a CANopenObject may leave to it."""
+
+
+class XddDocument:
+    """The places of a file's objects. text: the file as UTF-8. objects, parameters: by index and subindex; subindex None is the
+    object itself."""
+
+    def __init__(
+        self,
+        text: bytes,
+        objects: Mapping[tuple[int, int | None], Element],
+        parameters: Mapping[tuple[int, int | None], Element],
+    ) -> None:
+        self._text = text
+        self._objects = objects
+        self._parameters = parameters
+
+    def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
+        """Return the place; see `description.Document`. field: its name in CiA 311 or CiA 306 ("DefaultValue"), in upper or lower
+        case.
+
+        The place of a field that a parameter of the device profile holds is in that parameter.
+        """
+        for place in ((index, subindex), (index, None)):
+            element = self._objects.get(place)
+            if element is None:
+                continue
+            folded = _OF_EDS.get(field.lower(), field.lower())
+            name = next((each for each in element.attributes if each.lower() == folded), "")
+            if folded and not name:
+                found = self._in_parameter(self._parameters.get(place), folded)
+                if found is not None:
+                    return found
+            return place_in(self._text, element, name)
+        return 0, 0
+
+    def _in_parameter(self, parameter: Element | None, field: str) -> tuple[int, int] | None:
+        if parameter is None:
+            return None
+        if field == "accesstype":
+            return place_in(self._text, parameter, "access")
+        element = parameter.first(*_OF_PARAMETER[field]) if field in _OF_PARAMETER else None
+        return None if element is None else place_in(self._text, element, "value")
+
+
 """Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); above, the meaning depends on the profile."""
 SUB_OBJECT: Final = "CANopenSubObject"
 ROOT: Final = "ISO15745ProfileContainer"
@@ -55,7 +112,6 @@ _MODULE_INTERFACE: Final = "moduleInterface"
 """In such an element: the file describes a module, which is a part of another device."""
 _HAS_MODULES: Final = "this device has modules; their objects are not read from an XDD, and are missing here"
 _IS_MODULE: Final = "this file describes a module, a part of a device; the objects may have other indices there"
-_TYPES: Final = {int(each): each for each in DataType}
 _ACCESS: Final = {each.value: each for each in Access} | ACCESS
 _IN_PARAMETER: Final = {
     "defaultValue": "default",
@@ -296,16 +352,14 @@ class _Reader:
         text = part.element.get("dataType")
         if text:
             code = _code_of(text)
-            if code in _TYPES:
-                return _TYPES[code]
+            if code in TYPES:
+                return TYPES[code]
         elif part.parameter is not None and part.parameter.data_type is not None:
             return part.parameter.data_type
         elif likely is not None:
             return likely
-        standard = find_standard(index, subindex) if index < PROFILES else None
-        guess = standard.data_type if standard is not None else DataType.OCTET_STRING
-        if subindex == 0 and part.element.name == SUB_OBJECT:
-            guess = DataType.UNSIGNED8  # it counts the others
+        counts_others = subindex == 0 and part.element.name == SUB_OBJECT
+        guess = DataType.UNSIGNED8 if counts_others else likely_type(index, subindex)
         reason = f"{quoted(text)!r} is no data type that a value can have" if text else "the data type is missing"
         self._findings.warning("data-type", f"{reason}; taken as {guess.name}", part.element, "dataType")
         return guess
@@ -332,7 +386,7 @@ class _Reader:
         text = own or (part.parameter.access.lower() or "read" if part.parameter is not None else "")
         access = _ACCESS.get(text)
         if access is None:
-            access = _likely_access(index, subindex)
+            access = likely_access(index, subindex)
             reason = f"the access {quoted(text)!r} is none of SDO" if text else "the access is missing"
             at, name = (part.element, "accessType") if own or part.parameter is None else (part.parameter.element, "access")
             self._findings.warning("access", f"{reason}; taken as {access}", at, name)
@@ -361,13 +415,6 @@ def _code_of(text: str) -> int | None:
     """Return the index of a data type."""
     match = HEXADECIMAL.fullmatch(text)
     return int(match[1], 16) if match is not None else None
-
-
-def _likely_access(index: int, subindex: int) -> Access:
-    """Return the access for an object without one in the file: the standard's, else rw; the device refuses what it does not
-    allow."""
-    standard = find_standard(index, subindex) if index < PROFILES else None
-    return Access.RW if standard is None else standard.access
 
 
 def _member_type(whole: XddParameter | None, subindex: int, position: int, count: int) -> DataType | None:

@@ -9,7 +9,7 @@ import re
 from typing import Final
 
 from canopen_data.eds.ini import quoted
-from canopen_data.eds.numbers import read_number, read_value
+from canopen_data.eds.numbers import TEXTS, read_number, read_value
 from canopen_data.findings import Severity
 from canopen_data.xdd.elements import Element, XddFindings
 from canopen_proto.datatypes import DataType, Value, is_number
@@ -60,7 +60,7 @@ def value_of(
     None."""
     if data_type is DataType.BOOLEAN:
         text = _TRUTH.get(text.strip().lower(), text)
-    is_text = data_type in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
+    is_text = data_type in TEXTS
     value, adds_node_id, remark, lost = read_value(text if is_text else text.strip(), data_type)
     if remark:
         findings.about(Severity.ERROR if lost else Severity.WARNING, "value", f"{what}: {remark}", element, attribute)

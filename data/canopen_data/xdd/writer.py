@@ -22,11 +22,11 @@ from canopen_data.description import Commissioning, DeviceDescription, FileInfo,
 from canopen_data.eds.writer_values import check_kept, limit_text, one_line, value_text
 from canopen_data.xdd.parameters import ELEMENTARY
 from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import WITH_FIELDS
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 
 _KINDS: Final = (FileKind.XDD, FileKind.XDC)
-_HAS_SUB_OBJECTS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 _ELEMENTARY: Final = {data_type: name for name, data_type in reversed(ELEMENTARY.items())}
 _OTHER_TYPE: Final = "BITSTRING"
 """Of a parameter whose type IEC 61131-3 does not have. The object's own type counts."""
@@ -196,7 +196,7 @@ def _object(parent: Element, each: Object) -> None:
     attributes = {"index": f"{each.index:04X}", "name": each.name, "objectType": str(int(each.object_type))}
     flags = f"{each.object_flags:04X}" if each.object_flags else ""
     single = each.variables.get(0)
-    if single is not None and len(each.variables) == 1 and each.object_type not in _HAS_SUB_OBJECTS:
+    if single is not None and len(each.variables) == 1 and each.object_type not in WITH_FIELDS:
         flags = f"{single.object_flags | each.object_flags:04X}" if single.object_flags | each.object_flags else ""
         _element(parent, "CANopenObject", **attributes, **dict(_of_variable(single)), objFlags=flags)
         return

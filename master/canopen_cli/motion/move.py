@@ -27,7 +27,7 @@ from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import text_of
 from canopen_data.path_file import PathFile, read_path
 from canopen_master.errors import MasterError, PlanRefusedError, SetPointRefusedError
-from canopen_master.motion.record_format import RecordError
+from canopen_master.motion.record_files import RecordError
 from canopen_master.motion.record_reader import read_record
 from canopen_master.motion.recording import Recorder
 from canopen_master.trajectories.scaled_joints import load_ruckig

@@ -13,8 +13,7 @@ from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.motion.chain import Chain
-from canopen_master.motion.record_files import pyarrow_modules
-from canopen_master.motion.record_format import PARQUET, RecordError
+from canopen_master.motion.record_files import PARQUET, RecordError, pyarrow_modules
 from canopen_master.motion.recording import Recorder
 
 record_option = click.option(

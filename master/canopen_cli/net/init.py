@@ -22,7 +22,7 @@ from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import SUFFIXES, load_description
 from canopen_data.findings import DictionaryError
 from canopen_master.device_types import device_type_text
-from canopen_master.file_identity import (
+from canopen_master.identity_facts import (
     DEVICE_TYPE,
     IDENTITY,
     PRODUCT_CODE,

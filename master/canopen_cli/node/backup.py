@@ -21,7 +21,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
-from canopen_master.file_identity import DEVICE_TYPE, IDENTITY, differences, identity_in
+from canopen_master.identity_facts import DEVICE_TYPE, IDENTITY, differences, identity_in
 from canopen_master.way_back import bit_rate_for_dcf, counts_text, dcf_of
 from canopen_proto.indices import DEVICE_TYPE as DEVICE_TYPE_OBJECT
 from canopen_proto.indices import IDENTITY_OBJECT

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
-from typing import Any, Generic, Self, overload
+from typing import Any, Final, Generic, Self, overload
 
 from canopen_master.blocking.twin import (
     E,
@@ -17,6 +17,7 @@ from canopen_master.blocking.twin import (
     R,
     Twin,
     V,
+    attribute,
     in_a_thread,
     open_context,
     open_session,
@@ -90,10 +91,7 @@ class BlockingNode(NodeTwin):
     device has it.
     """
 
-    @property
-    def axes(self) -> dict[int, Axis]:
-        """As of the async Node; see the text of this class."""
-        return self._inner.axes
+    axes: Final[dict[int, Axis]] = attribute("axes", "Node")
 
     @property
     def dictionary(self) -> ObjectDictionary:
@@ -313,15 +311,9 @@ class BlockingNode(NodeTwin):
         """Return whether the drive on an axis of this node watches the heartbeat of this master; see watchdog.py."""
         return self._hub.do(self._inner.is_held, axis)
 
-    @property
-    def remote(self) -> RemoteNode:
-        """As of the async Node; see the text of this class."""
-        return self._inner.remote
+    remote: Final[RemoteNode] = attribute("remote", "Node")
 
-    @property
-    def name(self) -> str:
-        """As of the async Node; see the text of this class."""
-        return self._inner.name
+    name: Final[str] = attribute("name", "Node")
 
     @property
     def node_id(self) -> int:
@@ -377,65 +369,29 @@ class BlockingDevice(Twin[Device]):
         found = self._inner.node
         return self._hub.twin(BlockingNode, found)
 
-    @property
-    def axis(self) -> Axis:
-        """As of the async Device; see the text of this class."""
-        return self._inner.axis
+    axis: Final[Axis] = attribute("axis", "Device")
 
-    @property
-    def cyclic(self) -> Mapping[Mux, int]:
-        """As of the async Device; see the text of this class."""
-        return self._inner.cyclic
+    cyclic: Final[Mapping[Mux, int]] = attribute("cyclic", "Device")
 
-    @property
-    def plan(self) -> MotionPlan | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.plan
+    plan: Final[MotionPlan | None] = attribute("plan", "Device")
 
-    @property
-    def modes(self) -> int | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.modes
+    modes: Final[int | None] = attribute("modes", "Device")
 
-    @property
-    def following(self) -> Following:
-        """As of the async Device; see the text of this class."""
-        return self._inner.following
+    following: Final[Following] = attribute("following", "Device")
 
-    @property
-    def sdo_round_trips(self) -> int:
-        """As of the async Device; see the text of this class."""
-        return self._inner.sdo_round_trips
+    sdo_round_trips: Final[int] = attribute("sdo_round_trips", "Device")
 
-    @property
-    def limits(self) -> SetPointLimits:
-        """As of the async Device; see the text of this class."""
-        return self._inner.limits
+    limits: Final[SetPointLimits] = attribute("limits", "Device")
 
-    @property
-    def last_look(self) -> DriveView | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.last_look
+    last_look: Final[DriveView | None] = attribute("last_look", "Device")
 
-    @property
-    def entry(self) -> tuple[str, str] | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.entry
+    entry: Final[tuple[str, str] | None] = attribute("entry", "Device")
 
-    @property
-    def emcy(self) -> EmcyReceived | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.emcy
+    emcy: Final[EmcyReceived | None] = attribute("emcy", "Device")
 
-    @property
-    def emcy_time(self) -> Time | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.emcy_time
+    emcy_time: Final[Time | None] = attribute("emcy_time", "Device")
 
-    @property
-    def heartbeat_missed_at(self) -> Time | None:
-        """As of the async Device; see the text of this class."""
-        return self._inner.heartbeat_missed_at
+    heartbeat_missed_at: Final[Time | None] = attribute("heartbeat_missed_at", "Device")
 
     @property
     def name(self) -> str:
@@ -554,10 +510,7 @@ class BlockingSubscription(Twin[Subscription[E]], Generic[E]):
     close: ends the watch. size: how many events wait at most.
     """
 
-    @property
-    def dropped(self) -> int:
-        """As of the async Subscription; see the text of this class."""
-        return self._inner.dropped
+    dropped: Final[int] = attribute("dropped", "Subscription")
 
     def receive(self, *, timeout: float | None = None) -> E:
         """Wait for the next event and return it. A wait that is interrupted takes no event.
@@ -600,10 +553,7 @@ class BlockingReadStream(Twin[ReadStream]):
     once if the loop is left early; otherwise it is closed once it is no longer referenced.
     """
 
-    @property
-    def size(self) -> int:
-        """As of the async ReadStream; see the text of this class."""
-        return self._inner.size
+    size: Final[int] = attribute("size", "ReadStream")
 
     def __iter__(self) -> Self:
         return self
@@ -627,25 +577,13 @@ class BlockingRecorder(Twin[Recorder]):
     too slow. failure: why the recording ended before its time, or None.
     """
 
-    @property
-    def path(self) -> FilePath:
-        """As of the async Recorder; see the text of this class."""
-        return self._inner.path
+    path: Final[FilePath] = attribute("path", "Recorder")
 
-    @property
-    def rows(self) -> int:
-        """As of the async Recorder; see the text of this class."""
-        return self._inner.rows
+    rows: Final[int] = attribute("rows", "Recorder")
 
-    @property
-    def lost(self) -> int:
-        """As of the async Recorder; see the text of this class."""
-        return self._inner.lost
+    lost: Final[int] = attribute("lost", "Recorder")
 
-    @property
-    def failure(self) -> Exception | None:
-        """As of the async Recorder; see the text of this class."""
-        return self._inner.failure
+    failure: Final[Exception | None] = attribute("failure", "Recorder")
 
     def close(self) -> None:
         """End the recording with the row that is open. The thread finishes the file by itself."""
@@ -824,10 +762,7 @@ class BlockingChain(BlockingMoving):
 
     _inner: Chain
 
-    @property
-    def name(self) -> str:
-        """As of the async Chain; see the text of this class."""
-        return self._inner.name
+    name: Final[str] = attribute("name", "Chain")
 
     @property
     def devices(self) -> tuple[BlockingDevice, ...]:
@@ -835,10 +770,7 @@ class BlockingChain(BlockingMoving):
         found = self._inner.devices
         return tuple(self._hub.twin(BlockingDevice, each) for each in found)
 
-    @property
-    def settings(self) -> ChainSettings:
-        """As of the async Chain; see the text of this class."""
-        return self._inner.settings
+    settings: Final[ChainSettings] = attribute("settings", "Chain")
 
     @property
     def state(self) -> ChainState:
@@ -996,7 +928,7 @@ class BlockingChain(BlockingMoving):
         self._hub.do(self._inner.hold)
 
     def record(self, path: str | FilePath) -> AbstractContextManager[BlockingRecorder]:
-        """Record what the chain does while an `with` block runs: a row for each SYNC, see record_format.py.
+        """Record what the chain does while an `with` block runs: a row for each SYNC, see record_files.py.
 
         path: of the file, Parquet if it ends in ".parquet", else CSV; an older one is overwritten. Rows begin once the chain is
         initialised. Raises OSError; PackageMissingError without pyarrow for Parquet; at the end RecordError if rows are missing.
@@ -1053,20 +985,11 @@ class BlockingMaster(MasterTwin):
         found = self._inner.joints
         return {name: self._hub.twin(BlockingDevice, each) for name, each in dict(found).items()}
 
-    @property
-    def machine(self) -> MachineFile | None:
-        """As of the async Master; see the text of this class."""
-        return self._inner.machine
+    machine: Final[MachineFile | None] = attribute("machine", "Master")
 
-    @property
-    def halts(self) -> list[Halt]:
-        """As of the async Master; see the text of this class."""
-        return self._inner.halts
+    halts: Final[list[Halt]] = attribute("halts", "Master")
 
-    @property
-    def realtime(self) -> tuple[Measure, ...]:
-        """As of the async Master; see the text of this class."""
-        return self._inner.realtime
+    realtime: Final[tuple[Measure, ...]] = attribute("realtime", "Master")
 
     @property
     def dictionary(self) -> ObjectDictionary:
@@ -1155,20 +1078,11 @@ class BlockingMaster(MasterTwin):
         found = self._hub.do(self._inner.events, *kinds, node=None if node is None else node._inner, bus=bus)
         return BlockingSubscription(self._hub, found)
 
-    @property
-    def buses(self) -> dict[str, Bus]:
-        """As of the async Master; see the text of this class."""
-        return self._inner.buses
+    buses: Final[dict[str, Bus]] = attribute("buses", "Master")
 
-    @property
-    def failure(self) -> Exception | None:
-        """As of the async Master; see the text of this class."""
-        return self._inner.failure
+    failure: Final[Exception | None] = attribute("failure", "Master")
 
-    @property
-    def is_closed(self) -> bool:
-        """As of the async Master; see the text of this class."""
-        return self._inner.is_closed
+    is_closed: Final[bool] = attribute("is_closed", "Master")
 
     def now(self) -> Time:
         """Return the time of all machines: the loop's clock, in ns."""
@@ -1267,25 +1181,13 @@ class BlockingDriveCommissioning(Twin[DriveCommissioning]):
         found = self._inner.node
         return self._hub.twin(BlockingNode, found)
 
-    @property
-    def settings(self) -> AxisSettings:
-        """As of the async DriveCommissioning; see the text of this class."""
-        return self._inner.settings
+    settings: Final[AxisSettings] = attribute("settings", "DriveCommissioning")
 
-    @property
-    def done(self) -> list[str]:
-        """As of the async DriveCommissioning; see the text of this class."""
-        return self._inner.done
+    done: Final[list[str]] = attribute("done", "DriveCommissioning")
 
-    @property
-    def has_moved(self) -> bool:
-        """As of the async DriveCommissioning; see the text of this class."""
-        return self._inner.has_moved
+    has_moved: Final[bool] = attribute("has_moved", "DriveCommissioning")
 
-    @property
-    def is_homed(self) -> bool:
-        """As of the async DriveCommissioning; see the text of this class."""
-        return self._inner.is_homed
+    is_homed: Final[bool] = attribute("is_homed", "DriveCommissioning")
 
     @property
     def axis(self) -> Axis:

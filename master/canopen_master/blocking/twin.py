@@ -12,8 +12,9 @@ import inspect
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
+from operator import attrgetter
 from types import TracebackType
-from typing import Any, Generic, NoReturn, Protocol, Self, TypeVar, overload
+from typing import Any, Generic, NoReturn, Self, TypeVar, overload
 
 import trio
 
@@ -23,7 +24,7 @@ from canopen_master.errors import BusError, MasterClosedError
 from canopen_master.master import Master
 from canopen_master.motion.moving import together
 from canopen_master.node import Node
-from canopen_master.participant.dispatch import Watcher, check_callback, event_kinds
+from canopen_master.participant.dispatch import check_callback, event_kinds
 from canopen_master.session import MasterSession
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key
@@ -114,6 +115,12 @@ class Twin(Generic[T]):
         return f"<blocking {repr(self._inner).strip('<>')}>"
 
 
+def attribute(name: str, of: str) -> Any:
+    """Return the property for an attribute of an async object: it is read in the caller's thread, since that is one step. of: the
+    object's class."""
+    return property(attrgetter(f"_inner.{name}"), doc=f"As of the async {of}; see the text of this class.")
+
+
 class _Context(Generic[W]):
     def __init__(self, hub: Hub, kind: type[W], make: Callable[[], AbstractAsyncContextManager[Any]]) -> None:
         self._hub = hub
@@ -127,13 +134,7 @@ class _Context(Generic[W]):
         return self._held.__exit__(kind, error, traceback)
 
 
-class Watchable(Protocol):
-    """What tells events: a master, a node."""
-
-    def watch(self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], /) -> Watcher: ...
-
-
-def on(hub: Hub, inner: Watchable, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
+def on(hub: Hub, inner: Master | Node, kind: type[E] | tuple[type[E], ...], callback: Callable[[E], object]) -> Handler:
     """See `MasterTwin.on`."""
     check_callback(callback)
     kinds: tuple[type[Event], ...] = event_kinds(kind)

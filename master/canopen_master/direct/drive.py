@@ -14,6 +14,21 @@ controlword of that command: whenever the SYNC comes, it brings the same as the 
 last SYNC: that step must keep to its `limits`. If a SYNC comes early, the drive takes the next step all the same. So the way of
 the last STEPS SYNCs together must keep to the limits too, by the clock. A pause makes no step larger. A drive that left its path
 because a SYNC was late comes back to it slowly (late_sync.py): it is then sent elsewhere than the user wants it.
+
+**SYNC.** `HandSync` sends it for a script, with the set-points of all its drives, in one hand-over to the master's thread. A
+hand-over blocks the script until the master's thread has run, which a busy computer may delay by 10 ms or more. One for each
+drive and one for SYNC would so make SYNC late. So `send_pos` checks its set-point in the script's own thread and leaves it with
+the drive; `send_sync` sends all of them, then SYNC.
+
+Set-points wait for `send_sync` only while the last SYNC on the bus was one of ours (`is_ours`). As soon as anybody else sends
+SYNC, they are sent at once, and so are those that follow.
+
+**A script that was stalled** sends its SYNC late. Then no drive may jump, nor go faster than it may:
+
+- a drive that may be out of reach of its set-point is asked where it is, and stays there at this SYNC (late_sync.py); it comes
+  back to the script's path from there. If that cannot be known, the drives are halted;
+- the next SYNC comes an interval after the late one, whatever the phase was, or at most a part of ON_TIME earlier;
+- while a drive comes back, SYNC is not early at all: its steps use its whole speed limit, in the interval that it was told.
 """
 
 from __future__ import annotations
@@ -24,17 +39,16 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Final, TypeVar
 
-from canopen_master.direct.hand_sync import HandSync
 from canopen_master.errors import NOT_HEARD, NodeSilentError
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import ensure_answers, failure_of, follow, stop
-from canopen_master.motion.late_sync import WithinReach, our_lateness
+from canopen_master.motion.late_sync import GapGuard, WithinReach, our_lateness
 from canopen_master.motion.set_point_check import check_limits
-from canopen_master.participant.participant import ProcedureSlot
+from canopen_master.participant.participant import ON_TIME, ProcedureSlot
 from canopen_master.silence import missing_frame
 from canopen_proto.dictionary import Direction, PdoDescription
-from canopen_proto.drives import axis as drive
+from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.following import FollowingLost
 from canopen_proto.drives.axis.following_procedures import read_unsent
@@ -46,7 +60,7 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.drives.trajectory import JointLimits
 from canopen_proto.frame import routing_key
-from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.configure import define_pdo
@@ -58,6 +72,114 @@ from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
 from canopen_proto.sync import SyncReceived, SyncSent
 from canopen_transports.loop import CancelScope, current_loop
+
+NEVER_SENT: Final = -1
+
+
+class HandSync:
+    """See this module's text. It is what a GapGuard guards. is_ours: whether the last SYNC was sent here."""
+
+    def __init__(self, master: Master) -> None:
+        self.is_ours = False
+        self._master = master
+        self._drives: list[DirectDrive] = []  # those that follow set-points
+        self._guard = GapGuard(self, self._stop)
+        self._sent_at: Time = NEVER_SENT
+        self._interval: Time = 0  # from the last SYNC to the next one, as the script said
+        self._is_sending = False
+        master.watch((SyncSent, SyncReceived), self._on_sync)
+
+    def begin(self, drive: DirectDrive) -> None:
+        """Send the set-points of a drive from now on."""
+        self._drives.append(drive)
+
+    def end(self, drive: DirectDrive) -> None:
+        """Send no more of them; does nothing if none are sent."""
+        if drive in self._drives:
+            self._drives.remove(drive)
+
+    async def send(self, interval: Time) -> None:
+        """Send the set-points that wait, then SYNC. interval: ns until the next one; 0: the script keeps the time.
+
+        While drives follow, it waits first until most of the last interval is over, and until a drive that comes back to its
+        path has had the whole interval that it was told. Raises BusError.
+        """
+        master = self._master
+        if self._drives and self._sent_at != NEVER_SENT:
+            whole = (drive.interval * MILLISECOND for drive in self._drives if drive.comes_back)
+            earliest = self._sent_at + max(self._interval - self._interval // ON_TIME, *whole, 0)
+            await current_loop().sleep(max(0, earliest - master.now()) / SECOND)
+        for drive in self._drives:
+            drive.take_given()
+        late = self._late()
+        look = self._guard.look_before_sync(late)
+        if look is None:
+            self._guard.before_late_sync(late)
+        while look is not None:
+            began = master.now()
+            await master.run(look)
+            look = self._guard.look_again(master.now() - began)
+            if look is None:
+                self._guard.before_late_sync(self._late())
+        for drive in tuple(self._drives):
+            drive.send_given()
+        await master.pump.flush()  # a controller may send a SYNC before an RPDO that waits with it
+        self._is_sending = True
+        try:
+            await master.send_sync()
+        finally:
+            self._is_sending = False
+        self.is_ours, self._interval = True, interval
+
+    def _late(self) -> Time:
+        return 0 if self._sent_at == NEVER_SENT else max(0, self._master.now() - self._sent_at - self.period)
+
+    def _stop(self, why: str) -> None:
+        for drive in tuple(self._drives):
+            drive.lose(f"was halted {why}")
+
+    def _on_sync(self, report: SyncSent | SyncReceived) -> None:
+        self._sent_at = self._master.now()
+        if not self._is_sending and self.is_ours:
+            self.is_ours = False
+            for drive in tuple(self._drives):
+                drive.take_given()
+                drive.send_given()
+
+    # ---- what the GapGuard needs: see `Guarded` ----
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether a drive follows."""
+        return bool(self._drives)
+
+    @property
+    def period(self) -> Time:
+        """ns from SYNC to SYNC: the shortest that a drive was told."""
+        return min((drive.interval * MILLISECOND for drive in self._drives), default=0)
+
+    def must_look(self, late: Time) -> bool:
+        """Return whether a drive may be out of reach of the set-point that it would take at this SYNC. late: ns behind the time
+        at which it was due."""
+        return any(drive.must_look(late) for drive in self._drives)
+
+    @property
+    def limited(self) -> dict[Device, float]:
+        """The drives whose speed their set-points limit, with the ways that they make in an interval at these limits."""
+        return {drive.device: drive.way for drive in self._drives if drive.is_limited}
+
+    def rest(self) -> None:
+        """Do nothing: no velocities are fed forward."""
+
+    def stand_at_images(self) -> None:
+        """Go on from where the drives are, and have been told to be."""
+        for drive in self._drives:
+            if drive.is_limited:
+                drive.stand_at_image()
+
+    def before_late_sync(self, late: Time) -> None:
+        """Do nothing: the next SYNC comes a whole interval later."""
+
 
 T = TypeVar("T")
 
@@ -86,7 +208,7 @@ class DirectDrive:
         own, for this drive alone.
         """
         self.master = master
-        self._device = self.device = device
+        self.device = device
         self._hand_sync = HandSync(master) if hand_sync is None else hand_sync
         self.axis = device.axis
         self.node = device.node
@@ -120,7 +242,7 @@ class DirectDrive:
         """Reset a fault, as canopen_proto.drives.axis.reset_fault does. Start the node first if a program has left it stopped."""
         if STATUSWORD in self.node.dictionary:
             await self._run(ensure_answers(self.node, STATUSWORD))
-        await self._run(drive.reset_fault(self.axis))
+        await self._run(procedures.reset_fault(self.axis))
 
     async def change_state(self, state: State) -> None:
         """Lead the drive to a state, up or down. In any state but Operation enabled it stops following set-points."""
@@ -130,7 +252,7 @@ class DirectDrive:
             await self._run(identify(self.axis))
         else:
             self._end_following()
-        await self._run(drive.change_state(self.axis, state))
+        await self._run(procedures.change_state(self.axis, state))
 
     async def home(self, method: int | None = None) -> None:
         """Home the drive, in its own way: see `identify`. method: of this homing, for a drive that has methods."""
@@ -140,19 +262,19 @@ class DirectDrive:
         if method is not None and settings.homing is not HomingStyle.SCHUNK:
             self.axis.settings = replace(settings, homing_method=method)
         try:
-            await self._run(drive.home(self.axis))
+            await self._run(procedures.home(self.axis))
         finally:
             self.axis.settings = settings
 
     @property
     def limits(self) -> JointLimits:
         """The limits of the joint's motions, as `follow` has read them."""
-        return self._device.limits.of_paths
+        return self.device.limits.of_paths
 
     async def set_mode(self, mode: int) -> None:
         """Select a mode of operation."""
         self._end_following()
-        await self._run(drive.set_mode(self.axis, mode))
+        await self._run(procedures.set_mode(self.axis, mode))
 
     async def follow(self) -> None:
         """Let the drive follow set-points in interpolated position mode, from where it stands."""
@@ -162,8 +284,8 @@ class DirectDrive:
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
             )
         self._end_following()
-        followed = await self._run(follow(self._device, "enable_ip_mode", self.interval * MILLISECOND, sends_itself=True))
-        following = self._device.following
+        followed = await self._run(follow(self.device, "enable_ip_mode", self.interval * MILLISECOND, sends_itself=True))
+        following = self.device.following
         following.begin(
             followed.limit,
             followed.mode,
@@ -187,12 +309,12 @@ class DirectDrive:
         self._end_following()
         for scope in self._running:
             scope.cancel()
-        await self.master.run(drive.halt(self.axis))
+        await self.master.run(procedures.halt(self.axis))
 
     async def shut_down(self) -> None:
         """Take the drive's power away."""
         self._end_following()
-        await self._run(drive.shut_down(self.axis))
+        await self._run(procedures.shut_down(self.axis))
 
     async def set_interval(self, milliseconds: int) -> None:
         """Write the time between two SYNCs to the drive, and switch off its watch over SYNC (Schunk's 0x200E = 0). milliseconds:
@@ -205,13 +327,13 @@ class DirectDrive:
         LocalProtocolError."""
         await self._run(identify(self.axis))
         self.axis.settings = replace(self.axis.settings, max_speed=speed)
-        self._device.limits = await self._run(read_limits(self.axis))
+        self.device.limits = await self._run(read_limits(self.axis))
 
     async def wait_for(self, constant: str, timeout: Time) -> None:
         """Wait until the statusword bears a constant; StepTimeoutError after `timeout` ns."""
         wanted = self.node.dictionary.constant("statusword", constant)
         # The constant waited for may be that of a fault.
-        waiting = drive.wait_for_statusword(self.axis, wanted.is_in, timeout, constant, accept_fault=True)
+        waiting = procedures.wait_for_statusword(self.axis, wanted.is_in, timeout, constant, accept_fault=True)
         await self._run(waiting)
 
     async def define(self, description: PdoDescription, number: int | None, transmission_type: int) -> None:
@@ -254,9 +376,9 @@ class DirectDrive:
     async def send_position(self, position: float) -> None:
         """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos. position: counts,
         or the joint's unit; see `in_counts`."""
-        chain = next((each for each in self.master.chains.values() if self._device in each.devices), None)
+        chain = next((each for each in self.master.chains.values() if self.device in each.devices), None)
         if chain is not None and self.axis.node.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
-            at = {device: device.desired_position for device in chain.devices} | {self._device: position}
+            at = {device: device.desired_position for device in chain.devices} | {self.device: position}
             chain.set_positions(list(at.values()))  # the master's next cycle takes it along
             return
         lost, self._lost = self._lost, None
@@ -326,7 +448,7 @@ class DirectDrive:
 
     def lose(self, cause: str) -> None:
         """Stop it; the next `send_position` says why. cause: for its text."""
-        self._device.following.lose(cause)
+        self.device.following.lose(cause)
         self.master.pump.pump()
 
     async def go_to(self, position: float) -> None:
@@ -355,13 +477,13 @@ class DirectDrive:
         self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(counts)
         interval = self.interval * MILLISECOND
         (since, start), (_, last) = self._taken[0], self._taken[-1]
-        check_limits(self._device, last, position, interval)
+        check_limits(self.device, last, position, interval)
         if abs(position - start) > abs(last - start):  # standing and coming back must always be possible
-            check_limits(self._device, start, position, self.master.now() - since + interval)
+            check_limits(self.device, start, position, self.master.now() - since + interval)
         return self.axis.scale.from_counts(int(counts))
 
     def _on_sync(self, report: Event) -> None:
-        if self._device.taken_over_by:  # by a command of the master's, past this drive
+        if self.device.taken_over_by:  # by a command of the master's, past this drive
             self._end_following()
         self._taken.append((self.master.now(), self._wanted))
         self._within.on_sent()
@@ -370,8 +492,8 @@ class DirectDrive:
         self._is_following = self._is_new = False
         self._given.clear()
         self._hand_sync.end(self)
-        self._device.release()
-        self._device.following.end()
+        self.device.release()
+        self.device.following.end()
         self._reading.take_back()
 
     def _on_lost(self, report: FollowingLost) -> None:
@@ -379,18 +501,18 @@ class DirectDrive:
         if self.axis.is_told_by(report) and self._is_following and not self.master.is_closed:
             self._end_following()
             self._lost = report
-            self.master.launch(failure_of(self._device, stop(self._device)))
+            self.master.launch(failure_of(self.device, stop(self.device)))
 
     async def _why(self, lost: FollowingLost) -> Exception:
         """Return the error to raise."""
-        likely = our_lateness(self._device)
-        if self._device.has_fault:
+        likely = our_lateness(self.device)
+        if self.device.has_fault:
             beside = f", and {likely.what}" if likely else ""
-            return await self.master.run(drive.fault_of(self.axis, f"while it followed set-points{beside}"))
+            return await self.master.run(procedures.fault_of(self.axis, f"while it followed set-points{beside}"))
         failed = f"drive {self.node.node_id} {lost.cause}"
         if not lost.is_silent:
             reason, remedy, _ = likely or Reason("", "")
-            return drive.DriveError(self.axis, lost.cause, reason=reason, remedy=remedy)
+            return procedures.DriveError(self.axis, lost.cause, reason=reason, remedy=remedy)
         cause, tries = "its power is off, its cable is loose, or it was stopped", ["look at the drive and its cable"]
         if likely:
             cause, tries = f"{likely.what}; or {cause}", [likely.remedy, *tries]
@@ -431,4 +553,4 @@ class DirectDrive:
         if every is not None and not self._cyclic.keys() >= set(report.mapping.muxes):
             self._cyclic = {**self._cyclic, **dict.fromkeys(report.mapping.muxes, every)}
             if self._is_following:
-                self._device.following.expect(self._cyclic)
+                self.device.following.expect(self._cyclic)

@@ -87,7 +87,7 @@ class _Motion:
         """Send a set-point and SYNC in each interval until the stream has ended and is at rest."""
         due = current_loop().current_time()
         try:
-            while not (self._stream.is_stopping and self._stream.is_at_rest):
+            while not self._stream.is_finished:
                 (position,) = self._stream.step().positions
                 await self._drive.go_to(round(position) if self._drive.in_counts else position)
                 if not self._drive.is_on_path:  # behind a late SYNC: there is no path to come back to, it goes on from there

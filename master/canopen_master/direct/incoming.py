@@ -8,14 +8,11 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
+from canopen_master.blocking.loop_thread import LOOK_UP
 from canopen_proto.pdo.consumer import PdoReceived
 
 QUEUE_SIZE: Final = 4096
 """PDOs that wait for a reader: four seconds of six drives with one PDO a cycle of 10 ms, and more."""
-
-
-_LOOK_UP: Final = 0.5
-"""The longest single wait of a thread, in seconds: on Windows, a Ctrl-C takes effect only when the wait is over."""
 
 
 class IncomingPdos:
@@ -46,10 +43,10 @@ class IncomingPdos:
         deadline = None if timeout is None else time.monotonic() + timeout
         with self._changed:
             while not self._pdos:
-                rest = _LOOK_UP if deadline is None else deadline - time.monotonic()
+                rest = LOOK_UP if deadline is None else deadline - time.monotonic()
                 if rest <= 0:
                     return None
-                self._changed.wait(min(rest, _LOOK_UP))
+                self._changed.wait(min(rest, LOOK_UP))
             return self._pdos.popleft()
 
     def clear(self) -> None:

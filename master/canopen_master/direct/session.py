@@ -28,10 +28,10 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 from canopen_master.assembly import described
+from canopen_master.blocking.loop_thread import LOOK_UP
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
-from canopen_master.direct.drive import COUNTS, DirectDrive
-from canopen_master.direct.hand_sync import HandSync
+from canopen_master.direct.drive import COUNTS, DirectDrive, HandSync
 from canopen_master.direct.hold_to_run import move_while_held
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.machine_file import MachineFile, read_machine
@@ -55,8 +55,6 @@ from canopen_transports.realtime import Realtime
 
 R = TypeVar("R")
 
-_LOOK_UP: Final = 0.5
-"""Seconds between two checks, by a thread that waits for PDOs, whether the connection is still open."""
 NMT_TIME: Final = 0.1
 """Seconds that init_nmt gives the devices to get to Operational: nothing confirms an NMT command."""
 HOME_HERE: Final = 37
@@ -505,7 +503,7 @@ class Session:
     def _process(self, handler: Callable[[PdoReceived], object]) -> None:
         connection = self._connection
         while connection.is_open:
-            pdo = self.incoming_pdos.get(_LOOK_UP)
+            pdo = self.incoming_pdos.get(LOOK_UP)
             if pdo is not None:
                 try:
                     handler(pdo)

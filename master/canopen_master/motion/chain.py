@@ -318,7 +318,7 @@ class Chain(Moving):
         self._set_points.hold()
 
     def record(self, path: str | Path) -> AbstractAsyncContextManager[Recorder]:
-        """Record what the chain does while an `async with` block runs: a row for each SYNC, see record_format.py.
+        """Record what the chain does while an `async with` block runs: a row for each SYNC, see record_files.py.
 
         path: of the file, Parquet if it ends in ".parquet", else CSV; an older one is overwritten. Rows begin once the chain is
         initialised. Raises OSError; PackageMissingError without pyarrow for Parquet; at the end RecordError if rows are missing.

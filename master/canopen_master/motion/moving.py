@@ -33,7 +33,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.member import Member
 from canopen_master.motion.path_check import cannot_be_followed, check_now, check_path, check_start, find_margin, source_of
 from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
-from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
+from canopen_master.motion.target_motion import DEAD_MAN, Jog, Targets
 from canopen_master.seconds import check_seconds
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
 from canopen_proto.drives.trajectory.margin import Margin
@@ -181,7 +181,7 @@ class Moving:
         limits = [_less(each, MARGIN) for each in self.path_limits]
         with self._names_joints():
             stream = TargetStream(start, limits, self._period, speed_factor=speed, renew_cycles=renew_cycles)
-        motion = self._begin(StreamGenerator(stream), start, None)
+        motion = self._begin(stream, start, None)
         try:
             with self._names_joints():
                 yield stream, lambda: self._check_goes_on(motion, what)

@@ -18,15 +18,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from canopen_master.errors import PathRefusedError
 from canopen_master.motion.cycles import SetPointSource, SourcePoint
 from canopen_master.motion.device import Device
-from canopen_master.motion.target_motion import StreamGenerator
 from canopen_proto.drives.axis.following_error import LAG
-from canopen_proto.drives.trajectory import PathPoint
+from canopen_proto.drives.trajectory import PathClock, PathPoint
 from canopen_transports.loop import current_loop, protected
+
+if TYPE_CHECKING:
+    from canopen_master.trajectories.target_stream import TargetStream
 
 LONGEST_STOP: Final = 5.0
 """Seconds that joints may take to brake along their path. A path that needs longer is refused."""
@@ -49,25 +51,8 @@ Torques = Callable[[PathPoint], Sequence[float]]
 """Gives the torques to feed forward at a point of a path, one for each joint, as shares of the rated torques."""
 
 
-class TrajectoryGenerator(Protocol):
-    """The points of a motion, one after another. The joints are at rest before the first and after the last one."""
-
-    def advance(self, dt: float) -> PathPoint:
-        """Go on by `dt` seconds; return the point that is reached then."""
-
-    def stop(self) -> object:
-        """Begin to brake to rest, within the limits of the joints, and along the path if there is one."""
-
-    def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
-        """Go on after so many cycles without a SYNC. from_rest: the drives have braked by themselves."""
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether the end is reached."""
-
-    @property
-    def is_at_rest(self) -> bool:
-        """Whether the joints stand, as at the end, or after `stop`."""
+TrajectoryGenerator: TypeAlias = "PathClock | TargetStream"
+"""Gives the points of a motion, one after another. The joints are at rest before the first and after the last one."""
 
 
 class FollowingChain(Protocol):
@@ -235,7 +220,7 @@ class Motion:
         try:
             if skipped:
                 generator.after_gap(skipped, from_rest=skipped > SHORT_GAP)
-            self.point = generator.advance(self._period)
+            self.point = generator.advance(self._period) if isinstance(generator, PathClock) else generator.step()
             if self._torques is not None:
                 self.torques = self._checked(self._torques(self.point))
         except Exception as error:  # noqa: BLE001 - of a generator or a torque function that is the user's
@@ -254,9 +239,10 @@ class Motion:
 
         Return whether it does.
         """
-        if not isinstance(self.generator, StreamGenerator):
+        if isinstance(self.generator, PathClock):
             return False
-        self.point = self.generator.stand_at(first, positions)
+        self.generator.stand_at(first, positions)
+        self.point = self.generator.point
         return True
 
     @protected

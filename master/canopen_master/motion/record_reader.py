@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
-from canopen_master.motion.record_files import KEY, MARK, pyarrow_modules
-from canopen_master.motion.record_format import NEEDED, UNREADABLE, RecordError, RecordHead, head_of
+from canopen_master.motion.record_files import KEY, MARK, NEEDED, UNREADABLE, RecordError, RecordHead, head_of, pyarrow_modules
 
 _PARQUET_MARK: Final = b"PAR1"
 

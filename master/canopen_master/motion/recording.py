@@ -6,7 +6,7 @@
 A row begins with the SYNC that is sent and ends right before the next one, when the drives have answered. It is put together in
 the pump's turn, and written in a thread of its own, many rows at a time. So neither a slow disk nor the program's own loop delays
 a cycle. What waits to be written is bounded (MAX_WAITING values); beyond that, rows are left out and counted in `lost`. A file
-that cannot be written to, because the disk is full, ends the recording and not the motion. record_format.py has the columns.
+that cannot be written to, because the disk is full, ends the recording and not the motion. record_files.py has the columns.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from typing import Any, Final
 from canopen_master.motion.cycles import SetPoints
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_motion import Motion
-from canopen_master.motion.record_files import open_record
-from canopen_master.motion.record_format import INCOMPLETE, RecordedJoint, RecordError, RecordHead, Row, Value
+from canopen_master.motion.record_files import INCOMPLETE, RecordedJoint, RecordError, RecordHead, Row, Value, open_record
 from canopen_master.participant.dispatch import Watcher
 from canopen_master.participant.participant import Participant
 from canopen_proto.drives.axis.settings import MILLIDEGREES_PER_RADIAN, AxisSettings

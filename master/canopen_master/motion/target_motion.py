@@ -21,49 +21,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from canopen_proto.drives.trajectory import PathPoint
-
 if TYPE_CHECKING:
     from canopen_master.trajectories.target_stream import TargetStream
 
 DEAD_MAN: Final = 0.2
 """Seconds within which a jog has to be renewed: a program that reads a joystick or a key does so every 20 to 50 ms."""
-
-
-class StreamGenerator:
-    """A `TrajectoryGenerator` of targets or velocities; see path_motion.py."""
-
-    __slots__ = ("_stream",)
-
-    def __init__(self, stream: TargetStream) -> None:
-        self._stream = stream
-
-    def advance(self, dt: float) -> PathPoint:
-        """See TrajectoryGenerator. dt: the cycle_time of the stream."""
-        return self._stream.step()
-
-    def stop(self) -> None:
-        """See TrajectoryGenerator."""
-        self._stream.stop()
-
-    def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
-        """See TrajectoryGenerator. Lost cycles count for the dead man's switch."""
-        self._stream.after_gap(lost_cycles, from_rest=from_rest)
-
-    def stand_at(self, first: int, positions: Sequence[float]) -> PathPoint:
-        """Go on from where the joints are, from joint `first` on, since there is no path to come back to; return the point."""
-        self._stream.stand_at(first, positions)
-        return self._stream.point
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether the stream has ended, and the joints stand."""
-        return self._stream.is_stopping and self._stream.is_at_rest
-
-    @property
-    def is_at_rest(self) -> bool:
-        """Whether the joints stand."""
-        return self._stream.is_at_rest
 
 
 class _StreamInput:

@@ -88,7 +88,6 @@ class FramesLost(Event):
     lost: how many at least. reason: where, for people.
     """
 
-    __slots__ = ("lost", "reason")
     __match_args__ = ("node_id", "lost", "reason")
 
     def __init__(self, node_id: int, lost: int, reason: str) -> None:
@@ -103,7 +102,6 @@ class BusChanged(Event):
     state: what it is now. reason: what was seen, for people.
     """
 
-    __slots__ = ("reason", "state")
     __match_args__ = ("node_id", "state", "reason")
 
     def __init__(self, node_id: int, state: BusState, reason: str) -> None:
@@ -119,7 +117,6 @@ class FramesNotSent(Event):
     count: the number of frames. reason: for the first one, as text.
     """
 
-    __slots__ = ("count", "reason")
     __match_args__ = ("node_id", "count", "reason")
 
     def __init__(self, node_id: int, count: int, reason: str) -> None:

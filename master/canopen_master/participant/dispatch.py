@@ -8,10 +8,12 @@ from __future__ import annotations
 import inspect
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from canopen_master.participant.bus import Bus
 from canopen_proto.machine import Event, LocalProtocolError, Outcome, RequestId, Time
+from canopen_proto.procedures.runner import Runner
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoProgress
 from canopen_transports.loop import CancelScope, ParkingLot, current_loop
 
@@ -42,19 +44,12 @@ class ProcedureTakenBackError(Exception):
     """A procedure that a task waits for was cancelled elsewhere: its chain was stopped, or the master ended."""
 
 
-class Canceller(Protocol):
-    """An object that can take a request back: a RemoteNode, a Runner."""
-
-    def cancel(self, request_id: RequestId, now: Time) -> object:
-        """Take the request back; its outcome follows."""
-
-
 class Waiter:
     """A place to wait for the outcome of one request. is_done: whether there is a `result`. ends: a scope to cancel then."""
 
     __slots__ = ("_error", "_news", "_outcome", "_parked", "canceller", "ends", "is_done")
 
-    def __init__(self, canceller: Canceller) -> None:
+    def __init__(self, canceller: RemoteNode | Runner) -> None:
         self.canceller = canceller
         self.is_done = False
         self.ends: CancelScope | None = None
@@ -147,7 +142,7 @@ class Dispatcher:
         # By kind: how to tell the one whose request it is about, if it is about one; those who watch; whether these only queue it
         self._by_kind: dict[type[Event], _Told] = {}
 
-    def expect(self, root: object, request_id: RequestId, canceller: Canceller) -> Waiter:
+    def expect(self, root: object, request_id: RequestId, canceller: RemoteNode | Runner) -> Waiter:
         """Wait for the outcome of a request of the network whose `out.root` is given."""
         waiter = self._waiters[root, request_id] = Waiter(canceller)
         return waiter

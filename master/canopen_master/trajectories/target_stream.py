@@ -114,6 +114,11 @@ class TargetStream:
             for velocity, acceleration, joint in zip(self._point.velocities, self._point.accelerations, self._joints, strict=True)
         )
 
+    @property
+    def is_finished(self) -> bool:
+        """Whether the stream has ended, and the joints stand."""
+        return self._is_stopping and self.is_at_rest
+
     def aim_at(self, targets: Sequence[float]) -> None:
         """Go to these positions, one for each joint, and rest there. A target beyond a position limit counts as that limit.
 

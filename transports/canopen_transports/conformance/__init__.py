@@ -16,7 +16,7 @@
 
     bench.py        Site, SiteBus: where a transport is tried; TransportBench: the tools of a case
     frames.py       the frames that are sent, and how a case says which it expects; the rest: canopen_proto/verdict.py
-    case.py         TransportCase; leftovers.py: what a closed transport must not hold
+    case.py         TransportCase, and what a closed transport must not hold
     *_cases.py      the cases, one chapter each; catalogue.py: all of them, `run_all`
 
 **Never run it on a bus with drives.** The cases send frames of every kind as fast as they can, NMT commands among them.

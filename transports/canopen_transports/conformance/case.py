@@ -7,21 +7,45 @@ first expectation that is not met ends it. A case ends in one of these ways:
     ViolationError          failed: the transport broke a promise, or left something behind
     NotApplicable           the transport lacks the feature that the case is about
     anything else           failed: a transport raises only what the contract allows
+
+`held` lists the threads, files and sockets that this process has open: a closed transport has given back its own.
 """
 
 from __future__ import annotations
 
 import functools
+import os
+import threading
 from collections.abc import Awaitable, Callable
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, TypeAlias
 
 from canopen_proto.verdict import NotApplicable, Result, Verdict, ViolationError, expect
-from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import Site, TransportBench
 from canopen_transports.loop import current_loop
 from canopen_transports.loop.beside import beside
+
+_DESCRIPTORS: Final = Path("/dev/fd")
+_END_BY_THEMSELVES: Final = ("Trio thread", "in_thread")
+"""How trio names its idle worker threads, and canopen_transports.loop those on asyncio."""
+
+
+def held() -> frozenset[str]:
+    """Return a text for each thread and descriptor, equal as long as it is the same one. Descriptors only on Linux and macOS."""
+    threads = {
+        f"thread {thread.name!r} ({thread.ident})"
+        for thread in threading.enumerate()
+        if not thread.name.startswith(_END_BY_THEMSELVES)
+    }
+    files = set()
+    with suppress(OSError):
+        for name in os.listdir(_DESCRIPTORS):
+            with suppress(OSError):  # the descriptor that listed them is closed by now
+                files.add(f"descriptor {name} ({os.readlink(_DESCRIPTORS / name)})")
+    return frozenset(threads | files)
+
 
 LIMIT: Final = 120.0
 """Seconds. In virtual time a case that hangs gets there at once."""
@@ -66,12 +90,12 @@ class TransportCase:
 
     async def _in_loop(self, site: Site) -> None:
         loop = current_loop()
-        before = leftovers.held()
+        before = held()
         with loop.move_on_after(LIMIT) as limit:
             async with site.open_bus() as bus, AsyncExitStack() as stack, beside(loop.open_nursery()) as nursery:
                 await self.body(TransportBench(site, bus, stack, nursery))
         expect(not limit.cancelled_caught, f"{self.title}: the case hangs; it was not over after {LIMIT:g} s")
-        left = sorted(leftovers.held() - before)
+        left = sorted(held() - before)
         expect(not left, f"all members are closed, but this is left open: {', '.join(left)}")
 
 

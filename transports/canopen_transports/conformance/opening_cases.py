@@ -6,9 +6,8 @@ from random import Random
 from typing import Final
 
 from canopen_proto.verdict import does_not_apply, expect
-from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import TransportBench
-from canopen_transports.conformance.case import case
+from canopen_transports.conformance.case import case, held
 from canopen_transports.conformance.frames import numbered
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
 from canopen_transports.loop import current_loop
@@ -24,7 +23,7 @@ async def what_cannot_be_opened_says_what_to_do(bench: TransportBench) -> None:
     if not bench.site.unopenable:
         does_not_apply("the site names nothing that cannot be opened")
     for opening in bench.site.unopenable:
-        before = leftovers.held()
+        before = held()
         try:
             member = await opening()
         except TransportError as caught:
@@ -41,7 +40,7 @@ async def what_cannot_be_opened_says_what_to_do(bench: TransportBench) -> None:
         expect(bool(error.tries) and all(error.tries), f"{about} it does not say what to do")
         lines = str(error).splitlines()
         expect(len(lines) <= MAX_LINES, f"{about} its text has {len(lines)} lines")
-        left = sorted(leftovers.held() - before)
+        left = sorted(held() - before)
         expect(not left, f"{about} this is left open: {', '.join(left)}")
 
 
