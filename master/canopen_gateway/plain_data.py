@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Final, TypeAlias
 
+from canopen_gateway.errors import first_line
 from canopen_gateway.service import GatewayService, HeardOnNet
 from canopen_master import Chain, Device, Master, MasterError
 from canopen_proto import LocalProtocolError, NodeGuardingLost
@@ -218,11 +219,6 @@ def error_data(error: Exception) -> Plain:
     else:
         plain = {"code": "", "text": first_line(error), "details": []}
     return plain if abort is None else {**plain, "abort": f"0x{abort:08X}", "abort_text": text_of(abort)}
-
-
-def first_line(error: BaseException) -> str:
-    """Return the first line of an error's text."""
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 EXPECTED: Final = (MasterError, LocalProtocolError, ValueError, KeyError)

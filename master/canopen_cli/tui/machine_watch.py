@@ -35,13 +35,13 @@ from canopen_cli.tui.shown import (
     ValueShown,
 )
 from canopen_gateway import GatewayError, GatewayService, GatewaySession, ValueSeen, WatchedObject
+from canopen_gateway.errors import first_line
 from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.plain_data import (
     EXPECTED,
     Plain,
     error_data,
     event_data,
-    first_line,
     lease_data,
     net_data,
     node_ids,

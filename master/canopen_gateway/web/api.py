@@ -36,15 +36,11 @@ from canopen_gateway.errors import (
     NoSuchPlaceError,
     NotAllowedError,
     NotOverFleetError,
+    first_line,
 )
 from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.places import find_axis, find_node
-from canopen_gateway.plain_data import (
-    Plain,
-    error_data,
-    first_line,
-    view_data,
-)
+from canopen_gateway.plain_data import Plain, error_data, view_data
 from canopen_gateway.traffic.network_views import NetworkViews
 from canopen_gateway.traffic.ring import CAPACITY
 from canopen_gateway.traffic.trace import LONGEST, TrafficTrace, number_asked_for

@@ -46,7 +46,7 @@ import trio
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from canopen_gateway.commissioning import ClientConversation, check_commissioning, commission
-from canopen_gateway.errors import GatewayError
+from canopen_gateway.errors import GatewayError, first_of
 from canopen_gateway.places import find_node
 from canopen_gateway.plain_data import EXPECTED, Plain, error_data
 from canopen_gateway.traffic import FrameWish
@@ -326,7 +326,7 @@ class LiveClient:
                             self.put(json_text({"k": "values", "values": rows}))
                         await trio.sleep(FLUSH)
             except* (GatewayError, *EXPECTED) as failed:
-                self.put(json_text({"k": "error", "about": "watch", **error_data(_first(failed))}))
+                self.put(json_text({"k": "error", "about": "watch", **error_data(first_of(failed))}))
             finally:
                 self._watch_turn.release()
 
@@ -350,11 +350,3 @@ def _number(value: Any) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST_NUMBER:  # NaN is not
         return float(value)
     raise ValueError(f"{str(value)[:20] if isinstance(value, float | str) else 'this'!r} is no number")
-
-
-def _first(error: BaseException) -> Exception:
-    """Return the error that nurseries have put into groups."""
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, Exception)
-    return error

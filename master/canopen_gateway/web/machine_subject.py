@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import trio
 
-from canopen_gateway.places import find_net, find_object
+from canopen_gateway.errors import first_line
+from canopen_gateway.places import bytes_of, find_net, find_object
 from canopen_gateway.plain_data import (
     Plain,
     chain_data,
     event_data,
-    first_line,
     lease_data,
     net_data,
     node_data,
@@ -26,7 +26,6 @@ from canopen_gateway.plain_data import (
 )
 from canopen_gateway.service import GatewayService, GatewaySession
 from canopen_gateway.values import WatchedObject
-from canopen_gateway.values_given import bytes_of
 from canopen_gateway.web.subject import TakeRows, TellEvent, WebClient, WebSubject
 from canopen_master import MasterError
 from canopen_master.errors import NodeIsNoDriveError
