@@ -633,8 +633,8 @@ GATEWAY_MUTANTS: Final = tuple(
         ),
         (
             "fleet_nan_is_a_number",
-            f"{_FLEET}/leading.py",
-            " and abs(value) <= MOST",
+            "canopen_gateway/places.py",
+            " and abs(value) <= 1e300",
             "",
             "a joint is jogged at a velocity that is no number",
             LEAD,

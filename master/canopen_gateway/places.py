@@ -68,6 +68,13 @@ def check_object(dictionaries: Sequence[ObjectDictionary], text: str) -> None:
     raise ObjectNotFoundError(f"object {text!r} is in no dictionary at hand{did_you_mean(text, names)}")
 
 
+def number_said(value: object) -> float | None:
+    """Return a number of a message; None for what is none: another kind of value, NaN, or one too great to reckon with."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300:
+        return float(value)
+    return None
+
+
 def number_of_object(text: str) -> tuple[int, int] | None:
     """Return the index and subindex of an object that is named by its number, as "6041:00"; None for a name."""
     number = _PLACE.fullmatch(text)

@@ -10,6 +10,7 @@ from typing import Any, Final, TypeAlias
 
 from canopen_gateway.errors import first_line
 from canopen_gateway.service import GatewayService, HeardOnNet
+from canopen_gateway.values import decoded
 from canopen_master import Chain, Device, Master, MasterError
 from canopen_proto import LocalProtocolError, NodeGuardingLost
 from canopen_proto.abort import text_of
@@ -172,10 +173,7 @@ def value_data(dictionary: ObjectDictionary, index: int, subindex: int, data: by
     plain: Plain = {"path": place_text(index, subindex), "size": len(data), "hex": data[:MAX_BYTES_SHOWN].hex(" ")}
     if variable is None:
         return {**plain, "name": "", "type": "", "value": None, "unit": "", "constants": []}
-    try:
-        value: Value = variable.decode(data)
-    except ValueError:  # another length than its type has
-        value = data
+    value = decoded(dictionary, index, subindex, data)
     shown = {"value": plain_value(value), "constants": list(dictionary.names_of(variable, value))}
     return {**plain, **object_data(dictionary, variable), **shown}
 

@@ -49,7 +49,7 @@ from canopen_gateway.plain_data import (
     plain_value,
     view_data,
 )
-from canopen_master import Node
+from canopen_gateway.values import decoded
 from canopen_master.errors import NodeIsNoDriveError
 from canopen_master.monitor_words import finding_text
 from canopen_master.plain_text import clean
@@ -344,13 +344,14 @@ class MachineWatch:
                 self._names[place] = clean(data.decode("latin-1"))
 
     async def _read(self, place: ObjectPlace) -> None:
-        node = self.service.node(place.net, place.node_id)
+        dictionary = self.service.node(place.net, place.node_id).dictionary
         try:
             data = await self._session.read(*place.parts)
         except REFUSED as error:
             self._objects[place] = ReadObject("", clean(first_line(error)))
             raise
-        self._objects[place] = ReadObject(shown_value(node.dictionary, place, _value_of(node, place, data)))
+        value = decoded(dictionary, place.index, place.subindex, data)
+        self._objects[place] = ReadObject(shown_value(dictionary, place, value))
 
     async def _write(self, place: ObjectPlace, text: str) -> None:
         node = self.service.node(place.net, place.node_id)
@@ -454,14 +455,6 @@ def shown_value(dictionary: ObjectDictionary, place: ObjectPlace, value: Value) 
     text = physical_text(variable, value) or value_text(variable, value)
     names = ", ".join(dictionary.names_of(variable, value))
     return clean(f"{text} ({names})" if names else text)
-
-
-def _value_of(node: Node, place: ObjectPlace, data: bytes) -> Value:
-    variable = node.dictionary.get(place.index, place.subindex)
-    try:
-        return data if variable is None else variable.decode(data)
-    except ValueError:  # another length than its type has
-        return data
 
 
 def _place_of(watched: WatchedObject) -> ObjectPlace:
