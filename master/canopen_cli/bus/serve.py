@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import click
 import trio
 
 from canopen_cli.shared.lazy import NamingGroup
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, common, lasting, until_text
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import escape
@@ -34,7 +33,7 @@ def bus() -> None:
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
 @lasting()
 @common
-def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:
+def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float) -> None:
     """Be a CAN bus until Ctrl-C: all other programs hear what one sends.
 
     Only programs of this computer can join, unless --bind says otherwise. There is no password: anybody who can reach the port
@@ -71,11 +70,11 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
             if settings.json:
                 screen.json({"bus": [joining(locator)[0] for locator in locators]})
             for locator in locators:
-                screen.say(f"[bold]a bus on {escape(locator)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+                screen.say(f"[bold]a bus on {escape(locator)}[/], {until_text(seconds)}")
                 here, elsewhere = joining(locator)
                 screen.say(f"Join it in other terminals: [bold]canopen sim -b {here}[/], [bold]canopen scan -b {here}[/]")
                 if elsewhere:
                     screen.say(f"from other computers: [bold]-b {elsewhere}[/]")
-            await trio.sleep(math.inf if seconds is None else seconds)
+            await trio.sleep(seconds)
 
     run_until_interrupted(settings, screen, be_a_bus)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from typing import Final
 
 import click
@@ -68,7 +69,7 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
         with master.events(SyncSent) as syncs:
             master.sync_start(period / SECOND)  # which keeps its phase
             sent = 0
-            wait = None if count is None else count * period / SECOND
+            wait = math.inf if count is None else count * period / SECOND
             async with time_left(screen, f"one SYNC each {period / MILLISECOND:g} ms", wait):
                 async for _ in syncs:
                     sent += 1

@@ -162,7 +162,7 @@ def _show_in_browser(settings: Settings, port: int) -> None:
         )
     from canopen_cli.demo.web import show_in_browser  # needs the extra `web`, which no other demonstration does
 
-    show_in_browser(settings, port, context.params["seconds"] if "seconds" in given else None)
+    show_in_browser(settings, port, context.params["seconds"] if "seconds" in given else math.inf)
 
 
 def check_cycle(cycle: Time) -> None:

@@ -14,7 +14,7 @@ from canopen_cli.motion.view import DemoView, JointView
 from canopen_cli.shared.chosen_machine import NUMBER, ChosenMachine
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, option_group
+from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, option_group, together
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.rehearsal import rehearse
 from canopen_cli.shared.running import all_stand, run
@@ -49,35 +49,31 @@ class HomingChoice(NamedTuple):
 
 
 homing_options: Final = option_group(
-    click.option(
-        "--style",
-        type=click.Choice(list(STYLES)),
-        default="auto",
-        help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
+    together(
+        "choice",
+        HomingChoice,
+        click.option(
+            "--style",
+            type=click.Choice(list(STYLES)),
+            default="auto",
+            help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
+        ),
+        click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
+        click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
     ),
-    click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
-    click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
     click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
     enabling,
     commanding,
     common,
 )
-"""The options of a command that homes."""
+"""The options of a command that homes. It has `method` besides, and takes `choice` and `lists`."""
 
 
 @click.command()
 @click.argument("names", metavar="NODE...", nargs=-1)
 @click.option("--method", type=METHOD, help="Homing method, written to 0x6098; --list has them.")
 @homing_options
-def home(
-    settings: Settings,
-    names: tuple[str, ...],
-    style: str,
-    method: int | None,
-    limit: Time | None,
-    reset_fault: bool,
-    lists: bool,
-) -> None:
+def home(settings: Settings, names: tuple[str, ...], choice: HomingChoice, lists: bool) -> None:
     """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them.
 
     The names of a machine file may be on several of its buses.
@@ -91,13 +87,13 @@ def home(
     elif not names:
         raise usage("CO001", "no NODE was named", tries=("canopen home 3", "canopen home --list    the homing methods"))
     else:
-        home_nodes(_by_bus(settings, names), HomingChoice(style, method, limit, reset_fault))
+        home_nodes(_by_bus(settings, names), choice)
 
 
 @click.command("home", cls=NumberCommand)
 @click.argument("method", metavar="[METHOD]", required=False, type=METHOD)
 @homing_options
-def home_one(settings: Settings, method: int | None, style: str, limit: Time | None, reset_fault: bool, lists: bool) -> None:
+def home_one(settings: Settings, choice: HomingChoice, lists: bool) -> None:
     """Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own. IT MOVES. Ctrl-C halts it.
 
     `canopen home NODE...` does the same with several at a time.
@@ -110,7 +106,7 @@ def home_one(settings: Settings, method: int | None, style: str, limit: Time | N
     if lists:
         list_methods(settings, node_ids, axis_of_command(settings))
     else:
-        home_nodes([DrivesOnBus(settings, node_ids, axis_of_command(settings))], HomingChoice(style, method, limit, reset_fault))
+        home_nodes([DrivesOnBus(settings, node_ids, axis_of_command(settings))], choice)
 
 
 class DrivesOnBus(NamedTuple):

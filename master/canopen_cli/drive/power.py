@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 
 from canopen_cli.drive.session import command_drive, node_of_command, show_drive, unit_of_command
@@ -26,7 +28,7 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, current_ti
 @enabling
 @commanding
 @common
-def enable(settings: Settings, seconds: float | None) -> None:
+def enable(settings: Settings, seconds: float) -> None:
     """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none.
 
     \b
@@ -43,7 +45,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def held(axis: Axis) -> Procedure[None]:
         yield from procedures.enable(axis)
         screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
-        end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
+        end = NEVER if seconds == math.inf else (yield from current_time()) + round(seconds * SECOND)
         watch: DriveWait[bool] = DriveWait(axis, "the end of its time", stays=State.OPERATION_ENABLED)
         yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
         screen.say(f"{seconds:g} s are over: it gets no more power")
@@ -51,7 +53,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def story(confirmed: bool) -> list[str]:
         return ["the drive has no power any more" if confirmed else "the drive was told to have no power any more"]
 
-    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds is not None, enables=True))
+    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds < math.inf, enables=True))
 
 
 @click.command(cls=NumberCommand)

@@ -58,7 +58,7 @@ def run_on_node(
     label = f"drive {node_id}: {click.get_current_context().info_name}"
 
     async def command() -> T:
-        async with open_session(settings, screen) as session, time_left(screen, label, None, "Ctrl-C halts it"):
+        async with open_session(settings, screen) as session, time_left(screen, label, ending="Ctrl-C halts it"):
             return await session.master.run(procedure(session, session.node(node_id, axis)))
 
     return run(settings, screen, command, story=story)

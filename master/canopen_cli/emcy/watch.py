@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,7 +17,6 @@ from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, lastin
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.shared.session import read_dictionary
 from canopen_master.plain_text import json_text
 from canopen_proto.emcy import NO_ERROR
 from canopen_proto.error_codes import error_text, register_names
@@ -34,9 +32,7 @@ _LEAST: Final = 2
 @recorded
 @lasting()
 @common
-def watch(
-    settings: Settings, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float | None
-) -> int:
+def watch(settings: Settings, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float) -> int:
     """Show emergencies in words as they come, of all nodes or of one, until Ctrl-C. Nothing is sent.
 
     Each line has the error code, what it means, the error register and the maker's bytes. An emergency with the code 0 says that
@@ -50,12 +46,12 @@ def watch(
     screen = settings.screen()
     if node_id is not None:
         nodes = (node_id, *(nodes or ()))
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     counts = _Counts()
 
     async def show() -> None:
         try:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await _show(settings, screen, files, frozenset(nodes or ()), source, counts, seconds)
         finally:
             if source is None or counts.frames:
@@ -83,7 +79,7 @@ async def _show(
     nodes: frozenset[int],
     source: Path | None,
     counts: _Counts,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     async with (
         first_error(),

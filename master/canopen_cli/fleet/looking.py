@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
 
-from canopen_cli.fleet.joining import PlaceOfObject, joined, joining
+from canopen_cli.fleet.joining import PlaceOfObject, WayIn, joined, joining
 from canopen_cli.shared.options import Settings, common, with_named_object
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
@@ -20,7 +19,7 @@ from canopen_master.plain_text import clean
 @click.command()
 @joining
 @common
-def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int:
+def ls(settings: Settings, way_in: WayIn) -> int:
     """List the buses and nodes of a fleet, as their bridges see them.
 
     A node is listed while its bridge has heard of it lately. Exit status 3: no bridge is there.
@@ -32,7 +31,7 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
 
     async def look() -> list[tuple[FleetPlace, dict[str, Any]]]:
         told = []
-        async with joined(connect, config) as fleet:
+        async with joined(way_in) as fleet:
             for bus in fleet.buses:
                 try:
                     told.append((bus, await fleet.status(bus)))
@@ -69,7 +68,7 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
 @click.argument("objects", nargs=-1, metavar="OBJECT...")
 @joining
 @common
-def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], connect: tuple[str, ...], config: Path | None) -> int:
+def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], way_in: WayIn) -> int:
     """Read objects of nodes of a fleet, side by side. Exit status 5: a node did not answer; 11: it refused.
 
     PLACE is SITE/BUS/NODE; * stands for each. OBJECT is a name of the bridge's dictionary, or 6041:00; it may stand at the node.
@@ -82,7 +81,7 @@ def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], connec
     objects = with_named_object(objects, place)
 
     async def look() -> list[FleetValue]:
-        async with joined(connect, config) as fleet:
+        async with joined(way_in) as fleet:
             if place.node_id > 0 and "*" not in place:
                 return [await fleet.read(place, each) for each in objects]
             found = [value for each in objects for value in await fleet.read_all(place, each)]

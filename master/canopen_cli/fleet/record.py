@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
 import trio
 
-from canopen_cli.fleet.joining import PlaceText, joined, joining
+from canopen_cli.fleet.joining import PlaceText, WayIn, joined, joining
 from canopen_cli.shared.options import Seconds, Settings, common, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run_until_interrupted
@@ -42,9 +41,8 @@ def record(
     objects: tuple[str, ...],
     every: float,
     flush: float,
-    seconds: float | None,
-    connect: tuple[str, ...],
-    config: Path | None,
+    seconds: float,
+    way_in: WayIn,
 ) -> int:
     """Record a fleet as Parquet, by site, node and hour, until Ctrl-C: PDOs, states, emergencies, who comes and goes.
 
@@ -61,11 +59,11 @@ def record(
     scope = trio.CancelScope()
 
     def started(_: Recorded) -> None:
-        scope.deadline = math.inf if seconds is None else trio.current_time() + seconds
+        scope.deadline = trio.current_time() + seconds
         screen.say(f"recording to {escape(str(folder))}; a kill loses {flush:g} s at most")
 
     async def work() -> None:
-        async with joined(connect, config) as fleet:
+        async with joined(way_in) as fleet:
             with scope:
                 await record_fleet(
                     fleet,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
 import trio
 
-from canopen_cli.fleet.joining import Endpoint, zenoh_file
+from canopen_cli.fleet.joining import Endpoint, or_default, zenoh_file
 from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import escape
@@ -30,7 +29,7 @@ def router(
     connect: tuple[str, ...],
     config: Path | None,
     reachable: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Pass on what bridges and viewers of a fleet say, until Ctrl-C. It owns no bus.
 
@@ -42,7 +41,7 @@ def router(
     canopen serve zenoh --site hall-2 -m cell.toml --connect tcp/plant:7447
     """
     screen = settings.screen()
-    endpoints = listen or (() if config is not None else (DEFAULT_ENDPOINT,))
+    endpoints = or_default(listen, config)
 
     async def serve() -> None:
         session = await open_zenoh(connect=connect, listen=endpoints, config=config, reachable=reachable, mode="router")
@@ -50,7 +49,7 @@ def router(
             if settings.json:
                 screen.json({"listen": list(endpoints)})
             screen.say(f"[bold]a router of a fleet at {escape(', '.join(endpoints) or str(config))}[/]")
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await trio.sleep_forever()
         finally:
             await close_zenoh(session)

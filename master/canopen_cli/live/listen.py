@@ -12,7 +12,6 @@ from canopen_cli.shared.options import DEMO, Settings, common, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
-from canopen_cli.shared.session import read_dictionary
 from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND
@@ -40,7 +39,7 @@ def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
     """
     screen = settings.screen()
     bus = settings.required_bus()
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     if bitrates:
         found = run(settings, screen, lambda: try_bitrates(screen, bus, seconds))
         if found is None:

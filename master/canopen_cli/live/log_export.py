@@ -11,10 +11,10 @@ from typing import IO, Any, Final
 
 import click
 
-from canopen_cli.live.frame_lines import choosing
-from canopen_cli.live.log_values import Choosing, LoggedValue, values_in
+from canopen_cli.live.frame_lines import WantedFrames, choosing
+from canopen_cli.live.log_values import LoggedValue, values_in
 from canopen_cli.live.source import FILE_OR_INPUT
-from canopen_cli.live.window import When, Window, windowed
+from canopen_cli.live.window import Window, windowed
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import usage
@@ -38,18 +38,7 @@ ROWS: Final = 65_536
 @choosing
 @windowed
 @common
-def export(
-    settings: Settings,
-    source: Path,
-    output: str,
-    wide: bool,
-    nodes: tuple[int, ...] | None,
-    services: tuple[str, ...],
-    objects: tuple[str, ...],
-    changes: bool,
-    since: When | None,
-    until: When | None,
-) -> None:
+def export(settings: Settings, source: Path, output: str, wide: bool, wanted: WantedFrames, window: Window) -> None:
     """Write the values in a recording into a table: those of PDOs and SDO transfers. Times are those of the recording, in UTC.
 
     PDOs are taken apart by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. In Parquet,
@@ -73,7 +62,7 @@ def export(
     if kind == PARQUET:
         pyarrow_modules(output)
     check_new_file(settings, screen, output, str(source))
-    values = values_in(settings, screen, source, Choosing(nodes, services, objects, changes, Window(since, until)))
+    values = values_in(settings, screen, source, wanted, window)
     with new_file(output) as file:
         count = _write_parquet(file, values, output) if kind == PARQUET else _write_csv(file, values, wide=wide)
     if settings.json:

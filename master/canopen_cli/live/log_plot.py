@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import click
 
-from canopen_cli.live.log_values import Choosing, values_in
+from canopen_cli.live.frame_lines import WantedFrames
+from canopen_cli.live.log_values import values_in
 from canopen_cli.live.source import FILE_OR_INPUT
-from canopen_cli.live.window import When, Window, windowed
+from canopen_cli.live.window import Window, windowed
 from canopen_cli.plot.cycles import INK, check_plot, save, style, write_titles
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import NodeIds, Settings, common
@@ -41,8 +42,7 @@ def plot(
     objects: tuple[str, ...],
     output: Path | None,
     nodes: tuple[int, ...] | None,
-    since: When | None,
-    until: When | None,
+    window: Window,
 ) -> None:
     """Draw the values of objects in a recording over time: each in a row of its own, as a step from value to value.
 
@@ -55,7 +55,7 @@ def plot(
     check_plot(target)
     check_new_file(settings, screen, target, str(source))
     found: dict[str, Curve] = {}
-    for value in values_in(settings, screen, source, Choosing(nodes, (), objects, False, Window(since, until))):
+    for value in values_in(settings, screen, source, WantedFrames(nodes, objects=objects), window):
         if value.number is not None:
             curve = found.setdefault(value.label, Curve(value.label, value.unit, [], []))
             curve.seconds.append(value.seconds)
@@ -89,10 +89,6 @@ def _draw(path: Path, title: str, curves: list[Curve]) -> None:
     grid[-1][0].set_xlabel("time in s", color=INK, fontsize=9)
     write_titles(figure, title, counted(len(curves), "object"))
     save(figure, path)
-
-
-def _row(curve: Curve) -> tuple[str, ...]:
-    return escape(curve.label), *map(_shown, (min(curve.values), max(curve.values), len(curve.values)))
 
 
 def _shown(number: float) -> str:

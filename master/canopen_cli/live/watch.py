@@ -27,7 +27,7 @@ from canopen_cli.shared.options import Duration, NodeOfObject, Settings, common,
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
-from canopen_cli.shared.session import open_session, read_dictionary
+from canopen_cli.shared.session import open_session
 from canopen_cli.shared.values import TYPES, as_json, find_object, object_json, physical, place_text
 from canopen_master.participant.bus import BusChanged, FramesLost
 from canopen_master.plain_text import clean, json_text
@@ -84,7 +84,7 @@ def watch(
     channel: str | None,
     csv_path: str | None,
     plot: bool,
-    seconds: float | None,
+    seconds: float,
     type_name: str | None,
 ) -> None:
     """Show the values of a node's objects, live.
@@ -106,7 +106,7 @@ def watch(
     if csv_path is not None:
         check_new_file(settings, screen, csv_path)
         check_writable(csv_path)
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     dictionary, variables = _objects(files.dictionary_of(node_id), keys, drive, type_name)
     watched = Watched(node_id, dictionary, variables, STALE_AFTER * every, round(SPAN * SECOND) if plot else 0)
     drives = (node_id,) if any(axis_of(each.mux) is not None for each in variables) else ()
@@ -243,11 +243,11 @@ class _Watching:
 
     # ---- what is shown ----
 
-    async def show(self, work: Callable[[], Awaitable[None]], seconds: float | None) -> None:
+    async def show(self, work: Callable[[], Awaitable[None]], seconds: float) -> None:
         """Do the work, and show what comes: until its end, the time, or a key."""
 
         async def for_a_time() -> None:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await work()
 
         failure: LogFileError | None = None

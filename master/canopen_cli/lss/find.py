@@ -25,7 +25,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import identity_json
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
-from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Survey, all_waiting, search, survey
+from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Known, Survey, all_waiting, search, survey
 from canopen_proto.machine import Time
 
 COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
@@ -36,22 +36,13 @@ COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
 @windowed
 @limited
 @common
-def scan(
-    settings: Settings,
-    vendor: int | None,
-    product: int | None,
-    revision: int | None,
-    serial: int | None,
-    window: Time,
-    limit: Time,
-) -> int:
+def scan(settings: Settings, known: Known, window: Time, limit: Time) -> int:
     """Find the devices without a node-ID, and show their addresses. Nothing is written. Exit status 5: none was found.
 
     \b
     canopen lss scan --vendor 0x360 -b can0
     """
     screen = settings.screen()
-    known = (vendor, product, revision, serial)
 
     async def find() -> Survey:
         async with open_lss(settings, screen, window, limit) as lss, progress(lss, screen, known):

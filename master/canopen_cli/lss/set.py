@@ -145,10 +145,7 @@ def assign(
     table: Path | None,
     no_store: bool,
     yes: bool,
-    vendor: int | None,
-    product: int | None,
-    revision: int | None,
-    serial: int | None,
+    known: Known,
     window: Time,
     limit: Time,
 ) -> None:
@@ -168,7 +165,6 @@ def assign(
         raise usage("CO123", "node-IDs in order, or by a table: one of the two", tries=("--ids 10-20", "--table nodes.csv"))
     rows = read_table(table) if table is not None else ()
     choose = by_table(rows) if node_ids is None else in_order(node_ids)
-    known = (vendor, product, revision, serial)
     require_somebody(screen, "write node-IDs into devices", yes or settings.dry_run)
     questions = Questions(screen, agrees=yes or settings.dry_run)
 

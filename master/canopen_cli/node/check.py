@@ -21,7 +21,7 @@ from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.shared.session import BusSession, open_session, read_dictionary
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.named_files import open_description
 from canopen_master.errors import MasterError, SdoRefusedError
 from canopen_master.simulation.serving import drive_maker
@@ -154,14 +154,14 @@ def _check_node(settings: Settings, screen: Screen, report: CheckReport, cases: 
     node_id = report.node_id
     assert node_id is not None
     if not any(case.uses_device for case in cases):
-        description = NodeFiles(settings, screen, read_dictionary(screen)).description_of(node_id)
+        description = NodeFiles(settings, screen).description_of(node_id)
         if description is None:
             raise _without_file(node_id)
         report.file = description.source
         _run_alone(report, cases, description, node_id)
         return
     bus = settings.required_bus()
-    if bus != DEMO and NodeFiles(settings, screen, read_dictionary(screen)).description_of(node_id) is None:
+    if bus != DEMO and NodeFiles(settings, screen).description_of(node_id) is None:
         raise _without_file(node_id)
     effect = "it is reset and all of its objects are written, outputs and set-points too; commands go to ALL nodes of the bus"
     confirm(screen, f"check {node_text(node_id)}: {effect}", yes, needed=True)

@@ -47,7 +47,7 @@ def serve_ascii(
     allow: frozenset[Permission],
     dialect: str,
     reachable: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -37,9 +36,7 @@ Making: TypeAlias = Callable[[GatewayService, GatewaySession], MCPServer[Any]]
 )
 @lasting("End after this time.")
 @common
-def serve_mcp(
-    settings: Settings, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float | None
-) -> None:
+def serve_mcp(settings: Settings, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float) -> None:
     """Let an assistant read a machine, by the Model Context Protocol. Needs the extra `mcp`.
 
     It speaks on its standard input and output, as assistants start their tools; with --http on a port of this computer, with a
@@ -64,7 +61,7 @@ def serve_mcp(
 
     @first_error()
     async def serve_in_time() -> None:
-        with trio.move_on_after(math.inf if seconds is None else seconds):
+        with trio.move_on_after(seconds):
             await serve(settings, screen, allow, port or 0, make)
 
     run_until_interrupted(settings, screen, serve_in_time)

@@ -73,7 +73,7 @@ def serve_mqtt(
     every: float,
     period: float,
     clear_text: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Tell an MQTT broker what a machine does, one way: states, values, emergencies. Until Ctrl-C; needs the extra `mqtt`.
 

@@ -22,7 +22,7 @@ def serve_web(
     settings: Settings,
     bind_door: BindDoor,
     allow: frozenset[Permission],
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Serve a machine as a page in a browser, and by HTTP, until Ctrl-C. Needs the extra `web`.
 

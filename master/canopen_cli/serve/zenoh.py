@@ -53,7 +53,7 @@ def serve_zenoh(
     allow: frozenset[Permission],
     reachable: bool,
     twin: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Bring the buses of this computer into a fleet, on Zenoh, until Ctrl-C.
 

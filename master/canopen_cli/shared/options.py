@@ -12,6 +12,8 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import wraps
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
@@ -422,6 +424,23 @@ def option_group(*options: Callable[[Any], Any]) -> Callable[[F], F]:
     return add
 
 
+def together(name: str, make: Callable[..., Any], *options: Callable[[Any], Any]) -> Callable[[F], F]:
+    """Return what adds several options to a command, which gets one argument of this name for all of them. make: takes the values
+    of the options by their names, and returns it."""
+    taken = tuple(signature(make).parameters)
+
+    def add(command: F) -> F:
+        @wraps(command)
+        def run(*arguments: Any, **values: Any) -> Any:
+            values[name] = make(**{each: values.pop(each) for each in taken})
+            return command(*arguments, **values)
+
+        added: Any = run
+        return option_group(*options)(added)  # type: ignore[no-any-return]
+
+    return add
+
+
 def _option(*names: str, **attributes: Any) -> Callable[[F], F]:
     return click.option(*names, callback=_store, expose_value=False, **attributes)
 
@@ -438,15 +457,17 @@ class CommonOption(click.Option):
 def lasting(help_text: str = "End after this time, instead of by Ctrl-C: 10s.", **attributes: Any) -> Callable[[F], F]:
     """Add the option by which all commands take how long they go on. The command takes `seconds`.
 
-    attributes: `low`, `high` and `low_open` of the time, in seconds; and what click.option takes.
+    attributes: `low`, `high` and `low_open` of the time, in seconds; and what click.option takes. Without a default it is inf.
     """
+    if not attributes.get("required"):
+        attributes.setdefault("default", math.inf)
     bounds = {name: attributes.pop(name) for name in ("low", "high", "low_open") if name in attributes}
     return click.option("--for", "--seconds", "seconds", type=Seconds(**bounds), help=help_text, **attributes)
 
 
-def until_text(seconds: float | None) -> str:
+def until_text(seconds: float) -> str:
     """Return how long a command goes on, for people. seconds: by --for."""
-    return "until Ctrl-C" if seconds is None else f"for {seconds:g} s"
+    return "until Ctrl-C" if seconds == math.inf else f"for {seconds:g} s"
 
 
 def enabling(command: F) -> F:

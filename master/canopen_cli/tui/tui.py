@@ -21,7 +21,6 @@ from canopen_cli.shared.permissions import allow_option
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import read_dictionary
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_cli.tui.guest import run_beside
 from canopen_cli.tui.machine_watch import MachineWatch
@@ -109,7 +108,7 @@ class _Running:
                 open_with_files(settings, screen) as (master, files),
                 open_gateway(master, allow=self._allow) as service,
             ):
-                known = files or NodeFiles(settings, screen, read_dictionary(screen))
+                known = files or NodeFiles(settings, screen)
                 with service.open_session("the view") as session:
                     buses = Buses(known, bitrate=settings.told_bitrate() or 0)
                     self._watch = MachineWatch(service, session, files, trace, buses)
