@@ -44,7 +44,7 @@ bitrates_too: Final = option_group(
 @bitrates_too
 @lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
 @common
-def doctor(settings: Settings, seconds: float, bitrates: bool) -> int:
+def doctor(settings: Settings, screen: Screen, seconds: float, bitrates: bool) -> int:
     """Check adapters, drivers and permissions; with -b also what is heard on a bus. Nothing is sent.
 
     The lines about real time say what keeps this computer from an exact cycle: docs/realtime.md.
@@ -56,7 +56,6 @@ def doctor(settings: Settings, seconds: float, bitrates: bool) -> int:
     canopen doctor
     canopen doctor -b socketcan:can0
     """
-    screen = settings.screen()
     bus = settings.named_bus()
     if bus is None:
         if bitrates:

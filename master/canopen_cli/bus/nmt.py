@@ -44,7 +44,7 @@ WAIT_TIME: Final = 5.0
 @click.option("--yes", is_flag=True, help="Do not ask: for all nodes, and for resets.")
 @commanding
 @common
-def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait: bool, yes: bool) -> None:
+def nmt(settings: Settings, screen: Screen, word: str, node_id: int | None, everyone: bool, wait: bool, yes: bool) -> None:
     """Start, stop or reset a node, or all of them.
 
     \b
@@ -59,7 +59,6 @@ def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait
         raise usage("CO001", "--wait waits for one node, not for --all")
     refuse_over_text(settings, wait=wait, dry_run=settings.dry_run)
     command = COMMANDS[word]
-    screen = settings.screen()
     confirm(screen, _question(command, word, node_id), yes, needed=not settings.dry_run and (everyone or command in RESETS))
     state = run_or_show(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait), over_text=True)
     target = "all nodes" if node_id is None else node_text(node_id)

@@ -11,7 +11,7 @@ from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.options import Settings, common, lasting, until_text
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run_until_interrupted
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.screen import Screen, escape
 from canopen_proto.frame import Frame
 from canopen_transports.loop.beside import beside
 from canopen_transports.record import Record
@@ -33,7 +33,7 @@ def bus() -> None:
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
 @lasting()
 @common
-def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float) -> None:
+def serve(settings: Settings, screen: Screen, bind: str, port: int, yes: bool, seconds: float) -> None:
     """Be a CAN bus until Ctrl-C: all other programs hear what one sends.
 
     Only programs of this computer can join, unless --bind says otherwise. There is no password: anybody who can reach the port
@@ -49,7 +49,6 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float) -
 
     The protocol is text: after the line "canopen-bus 1", `nc localhost 20301` shows each frame as candump would.
     """
-    screen = settings.screen()
     local = is_loopback(bind)
     confirm(screen, f"whoever reaches port {port} of {bind} will hear this bus and can move its drives", yes, needed=not local)
     if not local:

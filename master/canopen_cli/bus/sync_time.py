@@ -32,7 +32,7 @@ SHOWN: Final = 3
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
 @common
-def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) -> None:
+def sync(settings: Settings, screen: Screen, period: Time | None, count: int | None, yes: bool) -> None:
     """Send SYNC: all nodes take and send their synchronous PDOs. A DRIVE THAT WAITS FOR SET-POINTS ACTS ON THEM.
 
     Nobody else may send SYNC on this bus meanwhile.
@@ -43,7 +43,6 @@ def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) 
     """
     if period is None and count is not None and count > 1:
         raise usage("CO001", "--count needs a --period", tries=(f"canopen sync --period 10ms --count {count}",))
-    screen = settings.screen()
     confirm(screen, "send SYNC: drives act on the set-points that they have", yes, needed=not settings.dry_run)
     if settings.dry_run:
         shown = min(count or SHOWN, SHOWN)
@@ -82,13 +81,12 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
 @click.command("time")
 @commanding
 @common
-def time(settings: Settings) -> None:
+def time(settings: Settings, screen: Screen) -> None:
     """Send this computer's time of day to all nodes (TIME, 0x100), once, in UTC.
 
     \b
     canopen time -b demo
     """
-    screen = settings.screen()
     sent = run_or_show(settings, screen, lambda: _time(settings, screen))
     if settings.json:
         screen.json({"time": sent.isoformat()})

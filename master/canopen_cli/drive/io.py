@@ -32,14 +32,12 @@ _SOURCES = {"input": ProbeSource.INPUT, "index": ProbeSource.INDEX, "selected": 
 
 @click.command()
 @common
-def inputs(settings: Settings) -> None:
+def inputs(settings: Settings, screen: Screen) -> None:
     """Show the digital inputs of a drive (0x60FD).
 
     \b
     canopen drive inputs 3 -b demo
     """
-    screen = settings.screen()
-
     word = read_drive(settings, screen, lambda node: _read_own(node, objects.DIGITAL_INPUTS, "digital inputs"))
     if settings.json:
         screen.json({"inputs": word, "active": [_name(_INPUTS, bit) for bit in range(_BITS) if word >> bit & 1]})
@@ -52,7 +50,7 @@ def inputs(settings: Settings) -> None:
 @click.option("--cannot-fall", is_flag=True, help="The brake may be opened: this axis cannot fall.")
 @commanding
 @common
-def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> None:
+def outputs(settings: Settings, screen: Screen, changes: tuple[str, ...], cannot_fall: bool) -> None:
     """Show the digital outputs of a drive (0x60FE); with BIT=0 or BIT=1 set some of them.
 
     A bit that is set here is also set in the mask (0x60FE:02): from then on the drive leaves this output to the master. The
@@ -62,7 +60,6 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
     canopen drive outputs 5 -b can0
     canopen drive outputs 5 16=1 -b can0
     """
-    screen = settings.screen()
     wanted = _changes(changes)
 
     def read(node: AxisNode) -> Procedure[tuple[int, int | None]]:
@@ -97,13 +94,12 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long to wait for the edge.  [default: 60s]")
 @commanding
 @common
-def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) -> None:
+def probe(settings: Settings, screen: Screen, number: int, edge: str, source: str, limit: Time) -> None:
     """Arm a touch probe (0x60B8), wait for its edge, and show the position there. It moves nothing: move the drive meanwhile.
 
     \b
     canopen drive probe 5 --edge positive -b can0
     """
-    screen = settings.screen()
     unit, scale = unit_of_command(settings, None)
 
     def procedure(axis: Axis) -> Procedure[ProbeReading]:

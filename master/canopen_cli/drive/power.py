@@ -10,6 +10,7 @@ from canopen_cli.drive.session import command_drive, node_of_command, show_drive
 from canopen_cli.shared.numbers import NumberCommand, UnitName, position_text
 from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, lasting
 from canopen_cli.shared.problem import usage, with_bus
+from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -28,13 +29,12 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, current_ti
 @enabling
 @commanding
 @common
-def enable(settings: Settings, seconds: float) -> None:
+def enable(settings: Settings, screen: Screen, seconds: float) -> None:
     """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none.
 
     \b
     canopen drive enable 3 -b demo --for 5s
     """
-    screen = settings.screen()
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from identify(axis)
@@ -69,7 +69,7 @@ def enable(settings: Settings, seconds: float) -> None:
 @enabling
 @commanding
 @common
-def move(settings: Settings, position: float, relative: bool, unit: str | None, limit: Time) -> None:
+def move(settings: Settings, screen: Screen, position: float, relative: bool, unit: str | None, limit: Time) -> None:
     """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 
     The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
@@ -80,7 +80,6 @@ def move(settings: Settings, position: float, relative: bool, unit: str | None, 
     canopen drive move 3 2000 -b demo
     canopen drive move 3 --relative -b demo -- -500
     """
-    screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
     if chosen == COUNTS and not position.is_integer():
         raise usage("CO120", f"a position in counts is a whole number; it is {position!r}", tries=("a whole number, or --in",))

@@ -138,9 +138,8 @@ def joint_settings(settings: Settings) -> AxisSettings:
     return AxisSettings() if joint is None else joint.settings
 
 
-def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
+def take_step(settings: Settings, screen: Screen, step: Callable[[Axis], Procedure[None]]) -> None:
     """Take a step with the drive, and show what it shows then."""
-    screen = settings.screen()
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from step(axis)

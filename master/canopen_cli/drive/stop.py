@@ -67,7 +67,7 @@ DISABLE: Final = Stop("disable voltage", Command.DISABLE_VOLTAGE, shut_down)
 @click.command()
 @commanding
 @common
-def stop(settings: Settings) -> None:
+def stop(settings: Settings, screen: Screen) -> None:
     """Command a quick stop, and wait until the drive stands. It brakes as 0x605A says; most drives have no power afterwards.
 
     The first frame that is sent is the stop. Without --axis all axes of the node are stopped. A node that does not answer is told
@@ -76,13 +76,13 @@ def stop(settings: Settings) -> None:
     \b
     canopen drive stop 3 -b demo
     """
-    _carry_out(settings, QUICK_STOP)
+    _carry_out(settings, screen, QUICK_STOP)
 
 
 @click.command()
 @commanding
 @common
-def disable(settings: Settings) -> None:
+def disable(settings: Settings, screen: Screen) -> None:
     """Take the power from a drive. One that moves coasts, or is stopped as its maker chose.
 
     The first frame that is sent is the command. Without --axis all axes of the node lose their power. A node that does not answer
@@ -91,11 +91,10 @@ def disable(settings: Settings) -> None:
     \b
     canopen drive disable 3 -b demo
     """
-    _carry_out(settings, DISABLE)
+    _carry_out(settings, screen, DISABLE)
 
 
-def _carry_out(settings: Settings, way: Stop) -> None:
-    screen = settings.screen()
+def _carry_out(settings: Settings, screen: Screen, way: Stop) -> None:
     if settings.dry_run:
 
         def rehearsed(axis: Axis) -> Procedure[None]:

@@ -12,6 +12,7 @@ from canopen_cli.drive.session import command_drive, unit_of_command
 from canopen_cli.shared.numbers import NumberCommand, UnitName
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting, until_text
 from canopen_cli.shared.problem import usage
+from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -46,6 +47,7 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 @common
 def velocity(
     settings: Settings,
+    screen: Screen,
     value: float,
     unit: str | None,
     seconds: float,
@@ -63,7 +65,6 @@ def velocity(
     \b
     canopen drive velocity 5 500 --for 2s -b can0
     """
-    screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
     told: list[procedures.Running] = []
 

@@ -52,7 +52,7 @@ class _Report:
 @click.option("--max-errors", type=click.IntRange(min=0), default=50, show_default=True, help="Findings shown per file; 0: all.")
 @click.option("--rules", is_flag=True, help="List the rules that are checked, and end.")
 @common
-def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: int, rules: bool) -> int:
+def lint(settings: Settings, screen: Screen, paths: tuple[str, ...], strict: bool, max_errors: int, rules: bool) -> int:
     """Check device descriptions: EDS, DCF, XDD, XDC.
 
     One pass reports everything: faults of the file's form, and contradictions to CiA 301, CiA 306 or within the file.
@@ -63,7 +63,6 @@ def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: i
     canopen eds lint drive.eds
     canopen eds lint *.eds --json
     """
-    screen = settings.screen()
     if rules:
         return _list_rules(screen)
     if not paths:

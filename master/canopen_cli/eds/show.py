@@ -25,7 +25,7 @@ COLUMNS = ("object", "name", "type", "access", "PDO", "default", "limits")
 @click.argument("path", metavar="FILE")
 @click.argument("keys", metavar="[OBJECT]...", nargs=-1)
 @common
-def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
+def show(settings: Settings, screen: Screen, path: str, keys: tuple[str, ...]) -> None:
     """Show what a device description says: EDS, DCF, XDD, XDC.
 
     Without OBJECT: the device, its PDOs and all objects. An OBJECT is a name or a number in hexadecimal (6041, 1018:01).
@@ -34,7 +34,6 @@ def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
     canopen eds show drive.eds
     canopen eds show drive.eds statusword 1018
     """
-    screen = settings.screen()
     file = open_description(path, settings.encoding)
     description = file.description
     chosen = [each for key in keys for each in _find(description.dictionary, key)] if keys else _all(description.dictionary)

@@ -32,7 +32,9 @@ _LEAST: Final = 2
 @recorded
 @lasting()
 @common
-def watch(settings: Settings, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float) -> int:
+def watch(
+    settings: Settings, screen: Screen, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float
+) -> int:
     """Show emergencies in words as they come, of all nodes or of one, until Ctrl-C. Nothing is sent.
 
     Each line has the error code, what it means, the error register and the maker's bytes. An emergency with the code 0 says that
@@ -43,7 +45,6 @@ def watch(settings: Settings, node_id: int | None, nodes: tuple[int, ...] | None
     canopen emcy watch 5 --for 10s -b can0
     canopen emcy watch --log trace.log --json
     """
-    screen = settings.screen()
     if node_id is not None:
         nodes = (node_id, *(nodes or ()))
     files = NodeFiles(settings, screen)

@@ -8,6 +8,7 @@ from canopen_cli.fleet.joining import PlaceText, WayIn, joining
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen
 from canopen_gateway.fleet import FleetPlace
 
 
@@ -15,7 +16,7 @@ from canopen_gateway.fleet import FleetPlace
 @click.argument("place", type=PlaceText(), default="*/*")
 @joining
 @common
-def halt(settings: Settings, place: FleetPlace, way_in: WayIn) -> int:
+def halt(settings: Settings, screen: Screen, place: FleetPlace, way_in: WayIn) -> int:
     """Stop what moves, at one place or everywhere. Anybody may, always; nothing has to be allowed for it.
 
     PLACE is SITE/BUS or SITE/BUS/NODE; * stands for each. Everywhere by default. It is no safety function: keep the emergency
@@ -25,7 +26,6 @@ def halt(settings: Settings, place: FleetPlace, way_in: WayIn) -> int:
     canopen fleet halt
     canopen fleet halt hall-2/arm
     """
-    screen = settings.screen()
 
     async def stop() -> dict[FleetPlace, list[str]]:
         async with way_in.open() as fleet:

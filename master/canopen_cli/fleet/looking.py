@@ -10,7 +10,7 @@ from canopen_cli.fleet.joining import PlaceOfObject, WayIn, joined, joining
 from canopen_cli.shared.options import Settings, common, with_named_object
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_gateway.errors import BridgeRefusedError, FleetError
 from canopen_gateway.fleet import FleetPlace, FleetValue
 from canopen_master.plain_text import clean
@@ -19,7 +19,7 @@ from canopen_master.plain_text import clean
 @click.command()
 @joining
 @common
-def ls(settings: Settings, way_in: WayIn) -> int:
+def ls(settings: Settings, screen: Screen, way_in: WayIn) -> int:
     """List the buses and nodes of a fleet, as their bridges see them.
 
     A node is listed while its bridge has heard of it lately. Exit status 3: no bridge is there.
@@ -27,7 +27,6 @@ def ls(settings: Settings, way_in: WayIn) -> int:
     \b
     canopen fleet ls --connect tcp/192.168.1.20:7447
     """
-    screen = settings.screen()
 
     async def look() -> list[tuple[FleetPlace, dict[str, Any]]]:
         told = []
@@ -68,7 +67,7 @@ def ls(settings: Settings, way_in: WayIn) -> int:
 @click.argument("objects", nargs=-1, metavar="OBJECT...")
 @joining
 @common
-def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], way_in: WayIn) -> int:
+def read(settings: Settings, screen: Screen, place: FleetPlace, objects: tuple[str, ...], way_in: WayIn) -> int:
     """Read objects of nodes of a fleet, side by side. Exit status 5: a node did not answer; 11: it refused.
 
     PLACE is SITE/BUS/NODE; * stands for each. OBJECT is a name of the bridge's dictionary, or 6041:00; it may stand at the node.
@@ -77,7 +76,6 @@ def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], way_in
     canopen fleet read '*/*/*' 1008               all nodes of all machines
     canopen fleet read hall-2/arm/5:statusword
     """
-    screen = settings.screen()
     objects = with_named_object(objects, place)
 
     async def look() -> list[FleetValue]:

@@ -82,6 +82,7 @@ class PastTime(Kind):
 @common
 def query(
     settings: Settings,
+    screen: Screen,
     folder: Path,
     wanted: tuple[PastObject, ...],
     sql: str,
@@ -102,7 +103,6 @@ def query(
     canopen fleet query history --sql gaps
     canopen fleet query history --sql "SELECT place, max(value) FROM samples WHERE name LIKE '%torque%' GROUP BY place" --csv
     """
-    screen = settings.screen()
     if as_csv and settings.json:
         raise usage("CO123", "--csv and --json are two forms", tries=("one of them",))
     if sql and any(each.key for each in wanted):

@@ -36,6 +36,7 @@ from canopen_gateway.history.recorder import FLUSH, LEAST_FLUSH
 @common
 def record(
     settings: Settings,
+    screen: Screen,
     folder: Path,
     place: FleetPlace,
     objects: tuple[str, ...],
@@ -54,7 +55,6 @@ def record(
     canopen fleet record history --read statusword --every 1s
     canopen fleet query history
     """
-    screen = settings.screen()
     recorded = Recorded()
     scope = trio.CancelScope()
 

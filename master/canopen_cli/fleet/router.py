@@ -10,7 +10,7 @@ import trio
 from canopen_cli.fleet.joining import Endpoint, or_default, zenoh_file
 from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.running import run_until_interrupted
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_zenoh
 
 
@@ -25,6 +25,7 @@ from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_ze
 @common
 def router(
     settings: Settings,
+    screen: Screen,
     listen: tuple[str, ...],
     connect: tuple[str, ...],
     config: Path | None,
@@ -40,7 +41,6 @@ def router(
     canopen fleet router --listen tcp/0.0.0.0:7447 --zenoh plant.json5
     canopen serve zenoh --site hall-2 -m cell.toml --connect tcp/plant:7447
     """
-    screen = settings.screen()
     endpoints = or_default(listen, config)
 
     async def serve() -> None:

@@ -11,7 +11,7 @@ import trio
 from canopen_cli.fleet.joining import PlaceText, WayIn, joined, joining
 from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.running import run_until_interrupted
-from canopen_cli.shared.screen import counted
+from canopen_cli.shared.screen import Screen, counted
 from canopen_gateway.fleet import FleetEmcy, FleetNews, FleetPdo, FleetPlace, FleetState, PlaceAppeared, PlaceGone
 from canopen_master.plain_text import json_text
 from canopen_proto.error_codes import error_text
@@ -23,7 +23,7 @@ from canopen_proto.error_codes import error_text
 @lasting()
 @joining
 @common
-def watch(settings: Settings, place: FleetPlace, pdos: bool, seconds: float, way_in: WayIn) -> None:
+def watch(settings: Settings, screen: Screen, place: FleetPlace, pdos: bool, seconds: float, way_in: WayIn) -> None:
     """Tell what happens in a fleet, until Ctrl-C: who comes and goes, states, emergencies.
 
     PLACE is SITE/BUS, for all of a bus, or SITE/BUS/NODE; * stands for each. All by default.
@@ -31,7 +31,6 @@ def watch(settings: Settings, place: FleetPlace, pdos: bool, seconds: float, way
     \b
     canopen fleet watch 'hall-2/*' --pdos
     """
-    screen = settings.screen()
     kinds: tuple[type[FleetNews], ...] = (PlaceAppeared, PlaceGone, FleetState, FleetEmcy, *((FleetPdo,) if pdos else ()))
 
     async def look() -> None:

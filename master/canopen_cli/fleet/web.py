@@ -31,6 +31,7 @@ NOT_OVER_A_FLEET: Final = {
 @common
 def web(
     settings: Settings,
+    screen: Screen,
     bind_door: BindDoor,
     allow: frozenset[Permission],
     seconds: float,
@@ -47,7 +48,6 @@ def web(
     canopen fleet web --connect tcp/192.168.1.20:7447
     canopen fleet web --connect tls/plant:7447 --zenoh office.json5 --allow write
     """
-    screen = settings.screen()
     for never in sorted(NOT_OVER_A_FLEET.keys() & allow, key=lambda each: each.value):
         tries = (f"the same without {never.value}", "canopen serve web, on the computer that has the bus")
         raise usage("CO123", f"--allow {never.value}: not over a fleet, since {NOT_OVER_A_FLEET[never]}", tries=tries)

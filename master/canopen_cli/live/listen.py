@@ -27,7 +27,7 @@ from canopen_transports.stamp_clock import StampClock
 @bitrates_too
 @lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
 @common
-def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
+def listen(settings: Settings, screen: Screen, bitrates: bool, seconds: float) -> int:
     """Hear who is on a bus, and with --bitrates find its bit rate. Nothing is sent.
 
     An adapter with a listen-only mode (pcan, slcan, kvaser, vector ...) does not even acknowledge frames. Exit status: 0 frames
@@ -37,7 +37,6 @@ def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
     canopen listen -b pcan:PCAN_USBBUS1 --bitrates
     canopen listen -b socketcan:can0 --for 10s
     """
-    screen = settings.screen()
     bus = settings.required_bus()
     files = NodeFiles(settings, screen)
     if bitrates:

@@ -62,14 +62,13 @@ for each in (log_record.record, log_export.export, log_plot.plot, log_diff.diff)
 @click.argument("target", type=FILE)
 @windowed
 @common
-def convert(settings: Settings, source: Path, target: Path, window: Window) -> int:
+def convert(settings: Settings, screen: Screen, source: Path, target: Path, window: Window) -> int:
     """Convert a log file to another kind, which the names tell. Records that this kind cannot hold are counted.
 
     \b
     canopen log convert trace.blf trace.log
     canopen log convert trace.log short.log --since 12:00:05 --until 12:01:00
     """
-    screen = settings.screen()
     if same_file(source, target):
         raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
     check_new_file(settings, screen, target)
@@ -109,14 +108,13 @@ def convert(settings: Settings, source: Path, target: Path, window: Window) -> i
 @windowed
 @commanding
 @common
-def replay(settings: Settings, source: Path, speed: str, only_sent: bool, yes: bool, window: Window) -> None:
+def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_sent: bool, yes: bool, window: Window) -> None:
     """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
 
     \b
     canopen log replay trace.log -b socketcan:vcan0                  a bus with a wire asks first
     canopen log replay trace.log -b can0 --since 12s --dry-run    what would be sent, in words; the bus is not opened
     """
-    screen = settings.screen()
     bus = settings.required_bus("-b tcp                         the bus of `canopen bus serve`")
     try:
         factor = None if speed == "max" else float(speed)
@@ -156,7 +154,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool, yes: b
 @click.option("--bitrate", metavar="RATE", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
 @windowed
 @common
-def stats(settings: Settings, source: Path, bitrate: str, window: Window) -> None:
+def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window: Window) -> None:
     """Count the frames of a file: number, rate and bus load of each CAN-ID.
 
     Rates are those of the part that --since and --until name; else from the first frame to the last, if that is a second.
@@ -165,7 +163,6 @@ def stats(settings: Settings, source: Path, bitrate: str, window: Window) -> Non
     canopen log stats trace.log
     canopen log stats trace.log --bitrate 1M --since 10s --until 20s
     """
-    screen = settings.screen()
     rate = rate_of(bitrate)
     reader, observer = reader_of(source), Observer()
     frames: Counter[int] = Counter()
@@ -216,7 +213,7 @@ def stats(settings: Settings, source: Path, bitrate: str, window: Window) -> Non
 @windowed
 @clocked
 @common
-def decode(settings: Settings, source: Path, wanted: WantedFrames, window: Window, clock: bool) -> None:
+def decode(settings: Settings, screen: Screen, source: Path, wanted: WantedFrames, window: Window, clock: bool) -> None:
     """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
 
     PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. A line that begins
@@ -229,7 +226,6 @@ def decode(settings: Settings, source: Path, wanted: WantedFrames, window: Windo
     canopen log decode trace.log --clock --since 12:00:05 --until 12:00:06
     candump can0 | canopen log decode -
     """
-    screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen), wanted)
     watch = FrameMonitor(settings, screen, choice, source, window, clock=clock)
     run(settings, screen, watch.show, reads=source)
@@ -251,7 +247,7 @@ def decode(settings: Settings, source: Path, wanted: WantedFrames, window: Windo
 @windowed
 @clocked
 @common
-def check(settings: Settings, source: Path, bitrate: str, limit: float, window: Window, clock: bool) -> int:
+def check(settings: Settings, screen: Screen, source: Path, bitrate: str, limit: float, window: Window, clock: bool) -> int:
     """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
 
     All in the order of time: boot-ups, emergencies, drives in fault, nodes that fell silent and came back, aborted SDO transfers.
@@ -266,7 +262,6 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float, window: 
     canopen log check trace.log
     canopen log check trace.log -e 5=drive.eds --bitrate 500k
     """
-    screen = settings.screen()
     rate = rate_of(bitrate) if bitrate else 0
     files = NodeFiles(settings, screen)
     reader, buses = reader_of(source), Buses(files, bitrate=rate, load_limit=limit / 100)

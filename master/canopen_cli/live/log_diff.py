@@ -50,7 +50,9 @@ class Traffic(NamedTuple):
 )
 @windowed
 @common
-def diff(settings: Settings, one: Path, other: Path, nodes: tuple[int, ...] | None, rate: float, window: Window) -> int:
+def diff(
+    settings: Settings, screen: Screen, one: Path, other: Path, nodes: tuple[int, ...] | None, rate: float, window: Window
+) -> int:
     """Compare two recordings: CAN-IDs that only one has, rates, and the last values of objects. Exit status: 1 with differences.
     --since and --until are those of each recording.
 
@@ -58,7 +60,6 @@ def diff(settings: Settings, one: Path, other: Path, nodes: tuple[int, ...] | No
     canopen log diff before.log after.log
     canopen log diff good.log bad.log -e 5=drive.eds --node 5
     """
-    screen = settings.screen()
     first, second = (_traffic(settings, screen, each, nodes, window.again()) for each in (one, other))
     found = [*_rates(first, second, rate / 100), *_values(first, second)]
     if settings.json:

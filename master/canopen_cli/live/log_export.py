@@ -18,7 +18,7 @@ from canopen_cli.live.window import Window, windowed
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.motion.record_files import pyarrow_modules
 from canopen_proto.machine import SECOND
 
@@ -38,7 +38,9 @@ ROWS: Final = 65_536
 @choosing
 @windowed
 @common
-def export(settings: Settings, source: Path, output: str, wide: bool, wanted: WantedFrames, window: Window) -> None:
+def export(
+    settings: Settings, screen: Screen, source: Path, output: str, wide: bool, wanted: WantedFrames, window: Window
+) -> None:
     """Write the values in a recording into a table: those of PDOs and SDO transfers. Times are those of the recording, in UTC.
 
     PDOs are taken apart by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. In Parquet,
@@ -49,7 +51,6 @@ def export(settings: Settings, source: Path, output: str, wide: bool, wanted: Wa
     canopen log export trace.log -o run.parquet --node 5 --object statusword --object 6064
     canopen log export trace.log -o run.csv --wide --service tpdo --since 10s --until 20s
     """
-    screen = settings.screen()
     kind = Path(output).suffix.lower()
     if kind not in (CSV, PARQUET):
         raise usage(

@@ -15,7 +15,7 @@ from canopen_cli.plot.cycles import INK, check_plot, save, style, write_titles
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import NodeIds, Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 
 
 class Curve(NamedTuple):
@@ -38,6 +38,7 @@ class Curve(NamedTuple):
 @common
 def plot(
     settings: Settings,
+    screen: Screen,
     source: Path,
     objects: tuple[str, ...],
     output: Path | None,
@@ -50,7 +51,6 @@ def plot(
     canopen log plot trace.log statusword 6064
     canopen log plot trace.log 6064 --node 5 --since 10s -o run.svg
     """
-    screen = settings.screen()
     target = source.with_suffix(".png") if output is None else output
     check_plot(target)
     check_new_file(settings, screen, target, str(source))

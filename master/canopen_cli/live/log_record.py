@@ -37,7 +37,9 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 @click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files stay; the oldest is deleted.")
 @lasting()
 @common
-def record(settings: Settings, target: Path, wanted: WantedFrames, rotate: Time | None, keep: int | None, seconds: float) -> int:
+def record(
+    settings: Settings, screen: Screen, target: Path, wanted: WantedFrames, rotate: Time | None, keep: int | None, seconds: float
+) -> int:
     """Write what passes on a bus into a file, until Ctrl-C. Nothing is sent.
 
     The ending tells the kind: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng. Exit status 5: no frame at all was heard.
@@ -47,7 +49,6 @@ def record(settings: Settings, target: Path, wanted: WantedFrames, rotate: Time 
     canopen log record trace.log -b can0 --node 5 --service emcy,sdo
     canopen log record trace.log -b can0 --rotate 1h --keep 24
     """
-    screen = settings.screen()
     if target.suffix.lower() not in LOSSES and target.suffix.lower() != ".txt":
         raise usage(
             "CO123",

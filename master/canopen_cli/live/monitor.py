@@ -35,7 +35,7 @@ LATE: Final = SECOND // 4
 @clocked
 @lasting()
 @common
-def monitor(settings: Settings, source: Path | None, wanted: WantedFrames, clock: bool, seconds: float) -> int:
+def monitor(settings: Settings, screen: Screen, source: Path | None, wanted: WantedFrames, clock: bool, seconds: float) -> int:
     """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
 
     PDOs are shown by the mapping that was heard, else by the devices' own files, else by PDOs.csv. A line that begins with ! says
@@ -49,7 +49,6 @@ def monitor(settings: Settings, source: Path | None, wanted: WantedFrames, clock
     canopen monitor --log trace.log                      a recording, as canopen log decode shows it
     candump can0 | canopen monitor --log -
     """
-    screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen), wanted)
     watch = FrameMonitor(settings, screen, choice, source, clock=clock, seconds=seconds)
 

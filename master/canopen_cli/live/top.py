@@ -46,7 +46,7 @@ MAX_BUSES: Final = 16
 @click.option("--bitrate", metavar="RATE", default="", help="For the load, where the bus does not tell it: 1M, 250k.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
 @common
-def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate: str, seconds: float) -> None:
+def top(settings: Settings, screen: Screen, source: Path | None, once: bool, sort: str, bitrate: str, seconds: float) -> None:
     """Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong. Nothing is sent.
 
     On a terminal the picture fills the screen, until q or Ctrl-C; p holds it, s sorts, b shows the next bus of a file. In a pipe,
@@ -57,7 +57,6 @@ def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate:
     canopen top --log trace.log
     ssh gateway candump -L can0 | canopen top --log -
     """
-    screen = settings.screen()
     rate = rate_of(bitrate) if bitrate else 0
     is_drawn = screen.out.is_terminal and not screen.out.is_dumb_terminal and not (once or settings.json)
     if source is None and not is_drawn and seconds == math.inf:

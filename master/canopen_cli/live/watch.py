@@ -75,6 +75,7 @@ STALE_AFTER: Final = 3
 @common
 def watch(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     keys: tuple[str, ...],
     drive: bool,
@@ -101,7 +102,6 @@ def watch(
     canopen watch 5 6064 --log trace.log
     ssh gateway candump -L can0 | canopen watch 5 6041 --log -
     """
-    screen = settings.screen()
     keys = keys if drive and not keys else with_named_object(keys, node_id)
     if csv_path is not None:
         check_new_file(settings, screen, csv_path)

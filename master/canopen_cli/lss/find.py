@@ -36,13 +36,12 @@ COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
 @windowed
 @limited
 @common
-def scan(settings: Settings, known: Known, window: Time, limit: Time) -> int:
+def scan(settings: Settings, screen: Screen, known: Known, window: Time, limit: Time) -> int:
     """Find the devices without a node-ID, and show their addresses. Nothing is written. Exit status 5: none was found.
 
     \b
     canopen lss scan --vendor 0x360 -b can0
     """
-    screen = settings.screen()
 
     async def find() -> Survey:
         async with open_lss(settings, screen, window, limit) as lss, progress(lss, screen, known):
@@ -75,7 +74,13 @@ def _matching(chosen: bool) -> str:
 @windowed
 @common
 def identify(
-    settings: Settings, vendor: int, product: int, revision: tuple[int, int], serial: tuple[int, int], window: Time
+    settings: Settings,
+    screen: Screen,
+    vendor: int,
+    product: int,
+    revision: tuple[int, int],
+    serial: tuple[int, int],
+    window: Time,
 ) -> None:
     """Find all devices of a type, with and without a node-ID. Nothing is written.
 
@@ -84,7 +89,6 @@ def identify(
     \b
     canopen lss identify --vendor 0x360 --product 2 --serial 1-1000 -b can0
     """
-    screen = settings.screen()
 
     async def find() -> list[LssAddress]:
         async with open_lss(settings, screen, window) as lss, progress(lss, screen, (vendor, product, None, None)):
@@ -108,7 +112,7 @@ def identify(
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @windowed
 @common
-def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
+def inquire(settings: Settings, screen: Screen, device: LssTarget, window: Time) -> None:
     """Show the LSS address and the node-ID of one device. Nothing is written.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus.
@@ -116,7 +120,6 @@ def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
     \b
     canopen lss inquire only -b can0
     """
-    screen = settings.screen()
 
     async def ask() -> tuple[LssAddress, int]:
         async with open_lss(settings, screen, window) as lss:

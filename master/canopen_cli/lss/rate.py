@@ -88,7 +88,8 @@ class RateChange:
 @commanding
 @common
 def set_bitrate(
-    settings: Settings, rate: int, present: int | None, delay: Time, command: str, no_store: bool, yes: bool, window: Time,
+    settings: Settings, screen: Screen, rate: int, present: int | None, delay: Time, command: str, no_store: bool, yes: bool,
+    window: Time,
 ) -> None:  # fmt: skip
     """Change the bit rate of all devices of a bus.
 
@@ -100,7 +101,6 @@ def set_bitrate(
     canopen lss set-bitrate 250k --dry-run -b pcan:PCAN_USBBUS1@500k
     canopen lss set-bitrate 250k --present 500k -b can0 --interface-command "ip link set can0 down && ..."
     """
-    screen = settings.screen()
     change = _change(settings, rate, present, delay, command, not no_store)
     require_somebody(screen, "change the bit rate of all devices", yes or settings.dry_run)
 

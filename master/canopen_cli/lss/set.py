@@ -61,7 +61,7 @@ TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 @windowed
 @commanding
 @common
-def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
+def set_id(settings: Settings, screen: Screen, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
     """Give one device a node-ID, or another one.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus. A device that has a node-ID resets its
@@ -71,7 +71,6 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
     canopen lss set-id 0x360:0x2:0x10000:7 12 -b can0
     canopen lss set-id 5 12 -b can0
     """
-    screen = settings.screen()
     confirm(
         screen,
         f"give a device the node-ID {node_id}; one that has a node-ID now is reset, and a drive stops",
@@ -101,13 +100,12 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
 @windowed
 @commanding
 @common
-def store(settings: Settings, device: LssTarget, yes: bool, window: Time) -> None:
+def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, window: Time) -> None:
     """Let one device store its node-ID and bit rate. DEVICE: see set-id.
 
     \b
     canopen lss store 5 -b can0
     """
-    screen = settings.screen()
     question = "let the device store its node-ID and bit rate: it has them from its next power-on, too"
     confirm(screen, question, yes, needed=not settings.dry_run)
 
@@ -141,6 +139,7 @@ def store(settings: Settings, device: LssTarget, yes: bool, window: Time) -> Non
 @common
 def assign(
     settings: Settings,
+    screen: Screen,
     node_ids: tuple[int, ...] | None,
     table: Path | None,
     no_store: bool,
@@ -160,7 +159,6 @@ def assign(
     canopen lss assign --ids 10-20 -b can0 --dry-run     which device would get which, and every frame
     canopen lss assign --table nodes.csv --vendor 0x360 -b can0
     """
-    screen = settings.screen()
     if (node_ids is None) == (table is None):
         raise usage("CO123", "node-IDs in order, or by a table: one of the two", tries=("--ids 10-20", "--table nodes.csv"))
     rows = read_table(table) if table is not None else ()

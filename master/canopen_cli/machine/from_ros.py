@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 @common
 def import_(
     settings: Settings,
+    screen: Screen,
     files: tuple[str, ...],
     output: str | None,
     locator: str,
@@ -54,7 +55,6 @@ def import_(
     from canopen_master.ros_configurations import Choices, import_configuration
     from canopen_transports.locator import parse_locator
 
-    screen = settings.screen()
     folder = Path() if output is None else Path(output).parent
     choices = Choices(locator, chain, dict(map(_package, packages)), frozenset(linear))
     if output is not None:

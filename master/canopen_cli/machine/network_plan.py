@@ -69,6 +69,7 @@ GROUPED = ("heartbeat", "EMCY")
 @common
 def plan(
     settings: Settings,
+    screen: Screen,
     file: Path | None,
     chains: str | None,
     cycle: Time | None,
@@ -105,7 +106,6 @@ def plan(
         rate = None if bitrate is None else parse_bitrate(bitrate)
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from error
-    screen = settings.screen()
     if file is not None and chains is not None:
         raise usage("CO123", "a machine file or a chain file: one of the two", tries=(f"canopen plan {file}",))
     if file is not None and file.suffix.lower() == ".csv":

@@ -18,7 +18,7 @@ from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_ros.robot_files import URDF, robot_files
 
 PACKAGE = "ros_canopen"
@@ -47,7 +47,7 @@ def ros() -> None:
 @ros.command()
 @click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @common
-def init(settings: Settings, folder: Path) -> None:
+def init(settings: Settings, screen: Screen, folder: Path) -> None:
     """Write the ROS package ros_canopen into a folder: its package.xml, launch files, parameters, an example URDF.
 
     With -m FILE it is about that machine: the machine file and the files that it names are copied into the package, and its
@@ -58,7 +58,6 @@ def init(settings: Settings, folder: Path) -> None:
     \b
     canopen ros init ros -m cell.toml
     """
-    screen = settings.screen()
     package = folder / PACKAGE
     if package.exists():
         tries = ("another folder", f"remove {package} first")

@@ -43,7 +43,9 @@ ENDS = ("q", "\x1b", END)
 @without_dry_run("what it sends is as long as a key is held", "canopen move --dry-run")
 @enabling
 @common
-def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, speed: float, record: Path | None) -> None:
+def jog(
+    settings: Settings, screen: Screen, file: Path | None, chain: str | None, home: bool, speed: float, record: Path | None
+) -> None:
     """Move joints of a chain by keys, as long as a key is held. THEY MOVE.
 
     1 to 9 choose a joint. The cursor keys right and left (or + and -) move it, from their first repetition on: a tap moves
@@ -55,7 +57,6 @@ def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, sp
     canopen jog -b demo                        a simulated arm
     canopen jog cell.toml --speed 0.05
     """
-    screen = settings.screen()
     if settings.json:
         raise usage("CO123", "a jog has no JSON", seen="it goes on as long as keys are held", tries=("canopen move --json",))
     machine_of(settings, file)

@@ -56,6 +56,7 @@ REFRESH = 0.1
 @common
 def move(
     settings: Settings,
+    screen: Screen,
     files: tuple[str, ...],
     to: str | None,
     chains: tuple[str, ...],
@@ -79,7 +80,6 @@ def move(
     canopen move cell.toml path.csv --override 0.3 --plot run.png
     canopen move cell.toml --chain arm --chain leg --to elbow=30,knee=10
     """
-    screen = settings.screen()
     path_name = _take_files(settings, files)
     if to is not None and path_name is not None:
         raise usage("CO001", f"a target and a path at once: --to and {path_name}", tries=("one of them",))

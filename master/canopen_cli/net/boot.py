@@ -72,7 +72,7 @@ class Booted:
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
 @common
-def boot(settings: Settings, file: Path | None, yes: bool) -> int:
+def boot(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> int:
     """Reset, check, configure and start the nodes of a machine file.
 
     No node that failed is started. The others run, also if a mandatory one failed, unless [network] has start = "all". Exit
@@ -83,7 +83,6 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     canopen net boot cell.toml
     canopen net boot cell.toml --dry-run         what would be written, and in which order
     """
-    screen = settings.screen()
     booted = Booted(choose_network(settings, screen, file))
     if settings.dry_run:
         show_unsent(settings, screen, lambda: _boot(settings, screen, booted))
@@ -104,7 +103,7 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @without_dry_run("it goes on until Ctrl-C, by what the nodes do", "canopen net boot --dry-run")
 @common
-def watch(settings: Settings, file: Path | None, yes: bool) -> None:
+def watch(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> None:
     """Boot the nodes, then boot those that come back, and react to lost ones, until Ctrl-C.
 
     Reactions are those of the machine file: mandatory_lost in [network]. With --json each event is a line.
@@ -112,7 +111,6 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
     \b
     canopen net watch cell.toml -b demo --yes
     """
-    screen = settings.screen()
     booted = Booted(choose_network(settings, screen, file))
     _confirm(screen, booted.chosen, yes)
     run_until_interrupted(settings, screen, lambda: _watch(settings, screen, booted))

@@ -64,7 +64,9 @@ class DeviceFile(NamedTuple):
 @click.option("--serials", is_flag=True, help="Expect the serial numbers, too: devices that were swapped are noticed.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
 @common
-def init(settings: Settings, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None) -> None:
+def init(
+    settings: Settings, screen: Screen, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None
+) -> None:
     """Write a machine file of the nodes that a scan finds.
 
     Each node is in the network list, and mandatory: edit what is not so. Its identity is that of its file, else the one that it
@@ -75,7 +77,6 @@ def init(settings: Settings, output: str, folder: Path | None, serials: bool, no
     canopen net init -o cell.toml -b can0
     canopen net init -o cell.toml -b can0 --files eds --serials
     """
-    screen = settings.screen()
     bus = settings.required_bus()
     check_new_file(settings, screen, output)
     files = list(_files(screen, folder, settings.eds))

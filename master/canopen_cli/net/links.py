@@ -34,7 +34,7 @@ EXAMPLE: Final = 'from = "encoder position_value" and to = "lift target_position
 @machine_argument
 @click.option("--dcf", "folder", metavar="DIR", help=f"Write a concise DCF for each node there: NAME{ENDING}.")
 @common
-def links(settings: Settings, file: Path | None, folder: str | None) -> int:
+def links(settings: Settings, screen: Screen, file: Path | None, folder: str | None) -> int:
     """Show the PDOs for the links of a machine file: CAN-IDs, mappings, transmission types. No bus is opened.
 
     They are computed from the files of the devices, and checked against them. `canopen net boot` writes them to the devices; with
@@ -46,7 +46,6 @@ def links(settings: Settings, file: Path | None, folder: str | None) -> int:
     canopen net links cell.toml
     canopen net links cell.toml --dcf concise
     """
-    screen = settings.screen()
     machine = named_machine(settings, file)
     dictionaries = Dictionaries(machine)
     try:

@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", metavar="FILE.dcf", required=True, help="The new file.")
 @reading_options
 @common
-def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
+def backup(
+    settings: Settings, screen: Screen, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool
+) -> int:
     """Read all values of a node into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
     If another SDO client uses the node's channel meanwhile, the backup says so, and `restore` wants --force for it.
@@ -52,7 +54,6 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     canopen backup 5 -o before.dcf -e drive.eds
     canopen backup 3 -o joint1.dcf -b demo
     """
-    screen = settings.screen()
     check_indices(indices, settings.eds)
     check_new_file(settings, screen, output)
     if indices is not None:

@@ -52,6 +52,7 @@ ANY_NODE: Final = 1
 @common
 def check(
     settings: Settings,
+    screen: Screen,
     target: str | None,
     numbers: tuple[str, ...],
     storing: bool,
@@ -77,7 +78,6 @@ def check(
     canopen check 5 -b can0 -e drive.eds --case 2 --case 4.2
     canopen check drive.eds
     """
-    screen = settings.screen()
     cases, left_out = _chosen(numbers, storing)
     if only_list:
         list_cases(screen, cases)

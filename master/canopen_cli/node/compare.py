@@ -104,6 +104,7 @@ class ToleranceKind(TextKind):
 @common
 def compare(
     settings: Settings,
+    screen: Screen,
     left: str,
     right: str,
     only: str | None,
@@ -123,7 +124,6 @@ def compare(
     """
     from canopen_data.named_files import open_description
 
-    screen = settings.screen()
     live = settings.node_id(left) if settings.is_node(left) else None
     if settings.is_node(right) and not Path(right).exists():
         saved = f"node{settings.node_id(right)}.dcf"

@@ -32,7 +32,9 @@ COLUMNS: Final = ("object", "name", "type", "access", "value", "hex")
 @click.option("-o", "--output", metavar="FILE", help="A file instead: .json, .csv or .dcf.")
 @reading_options
 @common
-def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool) -> int:
+def dump(
+    settings: Settings, screen: Screen, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool
+) -> int:
     """Read all objects of a node, and show them.
 
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
@@ -43,7 +45,6 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
     canopen dump 3 -b demo
     canopen dump 5 --walk 1000-1FFF,2000-20FF -o found.csv
     """
-    screen = settings.screen()
     check_indices(indices, settings.eds)
     suffix = Path(output).suffix.lower() if output is not None else ""
     if output is not None:

@@ -113,6 +113,7 @@ class ProgramToFlash:
 @common
 def flash(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     path: Path,
     program: int,
@@ -133,7 +134,6 @@ def flash(
     canopen sim 5 --boot-loader -b udp_multicast      a device to try it on
     canopen flash 5 new.bin --expect crc32 -b udp_multicast
     """
-    screen = settings.screen()
     image = image_in(path)
     limits = DownloadLimits() if limit is None else replace(DownloadLimits(), busy=limit, start=limit)
     expected = crc32(image) if expect == CRC32 else expect

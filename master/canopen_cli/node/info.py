@@ -38,7 +38,7 @@ MAX_WAIT = 2.0
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @common
-def info(settings: Settings, node_id: int) -> None:
+def info(settings: Settings, screen: Screen, node_id: int) -> None:
     """Show a node's identity, state, errors and PDOs.
 
     With -e FILE, also tell whether it is the device that the file describes.
@@ -47,7 +47,6 @@ def info(settings: Settings, node_id: int) -> None:
     canopen info 3 -b demo
     canopen info 5 -e drive.eds -b socketcan:can0
     """
-    screen = settings.screen()
     facts = run(settings, screen, lambda: _info(settings, screen, node_id))
     if settings.json:
         screen.json({"node": node_id, **{name.replace(" ", "_").replace("-", "_"): raw for name, (raw, _) in facts.items()}})

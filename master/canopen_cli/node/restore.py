@@ -59,6 +59,7 @@ class SettingsToRestore:
 @common
 def restore(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     path: str,
     verify: bool,
@@ -83,7 +84,6 @@ def restore(
     canopen restore 5 before.dcf --verify --store --yes
     canopen restore 5 before.dcf --to-node 6
     """
-    screen = settings.screen()
     dictionary = settings_in(path, node_id, any_device, settings.encoding, disturbed=settings.force)
     if to is not None:
         dictionary, node_id = moved_to(dictionary, node_id, to), to

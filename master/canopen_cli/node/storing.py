@@ -49,7 +49,7 @@ _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 @_YES
 @commanding
 @common
-def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
+def store(settings: Settings, screen: Screen, node_id: int, group: int, yes: bool) -> None:
     """Have a device keep its present parameters over power-off (0x1010).
 
     `canopen backup` before it is a way back. A device that answers late may still have stored: then read 0x1010 again, and
@@ -59,7 +59,6 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
     canopen store 5 --yes
     canopen store 5 --group communication --yes
     """
-    screen = settings.screen()
     confirm(screen, f"store parameters of {node_text(node_id)}: they stay over power-off", yes, needed=not settings.dry_run)
     run_or_show(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
     if settings.json:
@@ -75,14 +74,13 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
 @_YES
 @commanding
 @common
-def reset_defaults(settings: Settings, node_id: int, group: int, reset: bool, yes: bool) -> None:
+def reset_defaults(settings: Settings, screen: Screen, node_id: int, group: int, reset: bool, yes: bool) -> None:
     """Have a device take the defaults of its parameters from its next reset on (0x1011). Its node-ID may change with them.
 
     \b
     canopen backup 5 -o before.dcf && canopen reset-defaults 5 --yes
     canopen reset-defaults 5 --reset --yes
     """
-    screen = settings.screen()
     then = "it is reset, and a drive stops, or coasts" if reset else "it takes them at its next reset"
     confirm(
         screen, f"forget stored parameters of {node_text(node_id)} for the defaults: {then}", yes, needed=not settings.dry_run

@@ -105,6 +105,7 @@ class MappingChange:
 @common
 def map_pdo(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     words: tuple[str, ...],
     can_id: int | None,
@@ -135,7 +136,6 @@ def map_pdo(
         raise usage("CO001", "nothing to change was named", tries=(f"canopen pdo show {node_id}", "canopen pdo map --help"))
     if off and (objects or change != MappingChange((), None, None, None, None, True)):
         raise usage("CO001", "--off goes alone: the PDO keeps its mapping", tries=("the same without --off",))
-    screen = settings.screen()
     question = f"set up {pdo[0]} {pdo[1]} of {node_text(node_id)}: it becomes Pre-operational (a drive stops, or coasts)"
     confirm(screen, question, yes, needed=not settings.dry_run)
     before, after, dictionary = run_or_show(settings, screen, lambda: _map(settings, screen, node_id, pdo, change, any_device))

@@ -29,7 +29,7 @@ _CLOSE = 1e-9
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
 )
 @common
-def plot(settings: Settings, file: str, output: Path | None) -> None:
+def plot(settings: Settings, screen: Screen, file: str, output: Path | None) -> None:
     """Draw a recording (--record): position, velocity, acceleration and following error.
 
     Each joint has its colour, and the four stand one above the other.
@@ -43,7 +43,6 @@ def plot(settings: Settings, file: str, output: Path | None) -> None:
     canopen plot run.csv -o run.svg
     canopen plot path.csv                 a path, before it is followed
     """
-    screen = settings.screen()
     target = Path(file).with_suffix(".png") if output is None else output
     check_plot(target)
     curves = read_curves(settings, file, screen)

@@ -25,7 +25,7 @@ from canopen_data.named_files import read_text
 @enabling
 @commanding
 @common
-def run_script(settings: Settings, script: Path, args: tuple[str, ...]) -> None:
+def run_script(settings: Settings, screen: Screen, script: Path, args: tuple[str, ...]) -> None:
     """Run a Python script on a bus that is open already, with `await` at its top level.
 
     It finds `master`, `nodes` (`nodes[5]`, or by a name of the machine file; `nodes[args[0]]`), `bus` and `args`. A
@@ -36,7 +36,6 @@ def run_script(settings: Settings, script: Path, args: tuple[str, ...]) -> None:
     canopen run look.py -b demo
     canopen run look.py 5 statusword -b can0      its words: args
     """
-    screen = settings.screen()
     name = str(script)
     try:
         code = compiled(read_text(script), name)

@@ -53,7 +53,7 @@ class Lines(Protocol):
 @click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @enabling
 @common
-def shell(settings: Settings, node_id: int | None) -> None:
+def shell(settings: Settings, screen: Screen, node_id: int | None) -> None:
     """A Python prompt on an open bus, with `await`, completion of nodes, objects and constants, and history.
 
     It has `master`, `nodes` (`nodes[5]`), `node` (that of NODE), `bus` and `plot`. Ctrl-C ends a statement, Ctrl-D the prompt;
@@ -67,7 +67,6 @@ def shell(settings: Settings, node_id: int | None) -> None:
     >>> plot 4:velocity_actual_value 10s
     echo 'await node.read("statusword")' | canopen shell 3 -b demo
     """
-    screen = settings.screen()
     lines = TerminalLines() if sys.stdin.isatty() and sys.stdout.isatty() else None
 
     async def work() -> None:

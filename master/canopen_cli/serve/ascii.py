@@ -41,6 +41,7 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
 @common
 def serve_ascii(
     settings: Settings,
+    screen: Screen,
     bind: str,
     port: int | None,
     unix: Path | None,
@@ -60,8 +61,6 @@ def serve_ascii(
     canopen read 3 1008 -b gw:localhost:60000       as another maker's gateway
     canopen serve ascii -b can0 --allow write,nmt --unix /tmp/CO_command_socket
     """
-    screen = settings.screen()
-
     at_tcp = (bind, DEFAULT_PORT if port is None else port) if port is not None or unix is None else None
     serve_door(
         settings,

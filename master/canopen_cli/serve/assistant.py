@@ -36,7 +36,9 @@ Making: TypeAlias = Callable[[GatewayService, GatewaySession], MCPServer[Any]]
 )
 @lasting("End after this time.")
 @common
-def serve_mcp(settings: Settings, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float) -> None:
+def serve_mcp(
+    settings: Settings, screen: Screen, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float
+) -> None:
     """Let an assistant read a machine, by the Model Context Protocol. Needs the extra `mcp`.
 
     It speaks on its standard input and output, as assistants start their tools; with --http on a port of this computer, with a
@@ -47,7 +49,6 @@ def serve_mcp(settings: Settings, port: int | None, allow: frozenset[Permission]
     canopen serve mcp -b can0                  what an assistant's configuration starts
     canopen serve mcp -b demo --http 8403      six simulated drives, by HTTP
     """
-    screen = settings.screen()
     if Permission.MOTION in allow:
         tries = ("the same without motion", "canopen serve web --allow motion")
         raise usage("CO123", "--allow motion: an assistant cannot hold a dead man's switch", tries=tries)

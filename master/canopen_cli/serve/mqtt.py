@@ -62,6 +62,7 @@ class Broker(Kind):
 @common
 def serve_mqtt(
     settings: Settings,
+    screen: Screen,
     site: str,
     broker: BrokerAddress,
     user: str,
@@ -85,7 +86,6 @@ def serve_mqtt(
     mosquitto_sub -v -t 'canopen/v1/#'
     canopen serve mqtt --site hall-2 -m cell.toml --broker mqtts://broker.lan --user hall-2 --password-file secret
     """
-    screen = settings.screen()
     password = _password(password_file)
     if password and not user:
         raise usage("CO123", "a password needs its --user", tries=("--user NAME",))

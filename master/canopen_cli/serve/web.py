@@ -20,6 +20,7 @@ from canopen_gateway.web import WebDoor
 @common
 def serve_web(
     settings: Settings,
+    screen: Screen,
     bind_door: BindDoor,
     allow: frozenset[Permission],
     seconds: float,
@@ -35,7 +36,6 @@ def serve_web(
     canopen serve web -m cell.toml --allow motion   jog its chains, with a dead man's switch
     canopen serve web -b can0 --bind 0.0.0.0 --name cell7.lan --cert cell7.pem --key cell7.key
     """
-    screen = settings.screen()
     serve_door(
         settings,
         screen,

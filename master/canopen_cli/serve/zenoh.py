@@ -46,6 +46,7 @@ class SiteName(TextKind):
 @common
 def serve_zenoh(
     settings: Settings,
+    screen: Screen,
     site: str,
     listen: tuple[str, ...],
     connect: tuple[str, ...],
@@ -65,7 +66,6 @@ def serve_zenoh(
     canopen fleet ls
     canopen serve zenoh --site hall-3 -m cell.toml --connect tcp/plant:7447 --zenoh hall-3.json5
     """
-    screen = settings.screen()
     endpoints = listen or (() if config is not None or connect else (DEFAULT_ENDPOINT,))
 
     serve_door(

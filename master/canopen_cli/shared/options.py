@@ -426,13 +426,13 @@ def option_group(*options: Callable[[Any], Any]) -> Callable[[F], F]:
 
 def together(name: str, make: Callable[..., Any], *options: Callable[[Any], Any]) -> Callable[[F], F]:
     """Return what adds several options to a command, which gets one argument of this name for all of them. make: takes the values
-    of the options by their names, and returns it."""
+    of these options, and of others of the command, by their names."""
     taken = tuple(signature(make).parameters)
 
     def add(command: F) -> F:
         @wraps(command)
         def run(*arguments: Any, **values: Any) -> Any:
-            values[name] = make(**{each: values.pop(each) for each in taken})
+            values[name] = make(**{each: values.pop(each) for each in taken if each in values})
             return command(*arguments, **values)
 
         added: Any = run
@@ -499,7 +499,19 @@ def _common_option(*names: str, **attributes: Any) -> Callable[[F], F]:
     return _option(*names, cls=CommonOption, **attributes)
 
 
-common: Final = option_group(
+def _with_screen(command: F) -> F:
+    """Give a command the settings and the screen."""
+
+    @click.pass_obj
+    @wraps(command)
+    def run(settings: Settings, *arguments: Any, **values: Any) -> Any:
+        return command(settings, settings.screen(), *arguments, **values)
+
+    added: Any = run
+    return added  # type: ignore[no-any-return]
+
+
+common_options: Final = option_group(
     _common_option(
         "-b",
         "--bus",
@@ -540,6 +552,8 @@ common: Final = option_group(
     _common_option("-q", "--quiet", is_flag=True, help="Only results and errors."),
     _common_option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
     _common_option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
-    click.pass_obj,
 )
-"""The options that every command has. The command gets their values as its first argument, `settings`."""
+"""The options that every command has. The settings have their values."""
+
+common: Final = option_group(common_options, _with_screen)
+"""These options. The command gets `settings` and `screen` as its first arguments."""

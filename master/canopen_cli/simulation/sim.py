@@ -80,6 +80,7 @@ DEFAULT_IDS: Final = DEMO_NODES
 @common
 def sim(
     settings: Settings,
+    screen: Screen,
     files: tuple[str, ...],
     node_ids: tuple[int, ...] | None,
     profile: str,
@@ -110,7 +111,6 @@ def sim(
     canopen sim plant.toml
     canopen sim cell.toml                  each device of a machine file, on all of its buses; with -b NAME on that one
     """
-    screen = settings.screen()
     files += settings.eds  # -e means the same here: the file of a device
     if boot_loader and files:
         if node_ids:

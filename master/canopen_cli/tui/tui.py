@@ -35,7 +35,7 @@ LEAST_COLUMNS, LEAST_LINES = 40, 10
 @click.command()
 @allow_option("What may be changed: write, motion, store, program, nmt, lss")
 @common
-def tui(settings: Settings, allow: frozenset[Permission]) -> None:
+def tui(settings: Settings, screen: Screen, allow: frozenset[Permission]) -> None:
     """A view that stays open: nodes, objects, emergencies, live values, traffic, drives. Needs the extra `tui`.
 
     1 to 6 choose a view, ? shows all keys, q or Ctrl-C ends. It only listens until something is looked at: objects are read by
@@ -47,21 +47,21 @@ def tui(settings: Settings, allow: frozenset[Permission]) -> None:
     canopen tui -b can0 -e 5=drive.eds --allow write,nmt
     canopen tui -m cell.toml                all buses of a machine
     """
-    _require_terminal(settings)
+    _require_terminal(settings, screen)
     screen = _HiddenScreen(settings)
     view = _Running(settings, screen, allow)
     run_until_interrupted(settings, screen, view.serve, loop=run_beside(view.show, view.end))
     view.require_good_end()
 
 
-def _require_terminal(settings: Settings) -> None:
+def _require_terminal(settings: Settings, screen: Screen) -> None:
     """Raise a CommandError if there is no terminal that can show a view; LibraryMissingError."""
     instead = ("canopen top --once", "canopen monitor", "canopen serve web")
     if settings.json:
         raise usage("CO123", "a view has no JSON", tries=("canopen top --json", *instead[1:]))
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise usage("CO122", "a view needs a terminal, for its keys and its picture", seen="nothing was opened", tries=instead)
-    if settings.screen().err.is_dumb_terminal:
+    if screen.err.is_dumb_terminal:
         term = os.environ.get("TERM", "")
         raise usage(
             "CO122",
