@@ -9,7 +9,7 @@ import click
 import trio
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from canopen_cli.shared.options import DEMO, NodeIds, Settings, common, lasting
+from canopen_cli.shared.options import DEMO, NodeIds, Settings, command, lasting
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
@@ -36,11 +36,10 @@ DETAILS: Final = ("revision", "serial number")
 """Columns shown only with -v and in JSON, so that a row fits into a terminal."""
 
 
-@click.command()
+@command()
 @click.option("--passive", is_flag=True, help="Only listen: nothing is sent.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
 @lasting("How long to listen before asking.  [default: 1.5s]", high=3600, default=LISTEN / SECOND)
-@common
 def scan(settings: Settings, screen: Screen, passive: bool, node_ids: tuple[int, ...] | None, seconds: float) -> int:
     """Find the nodes of a bus. Exit status 5: none was found.
 

@@ -8,7 +8,7 @@ import click
 import trio
 
 from canopen_cli.shared.lazy import NamingGroup
-from canopen_cli.shared.options import Settings, common, lasting, until_text
+from canopen_cli.shared.options import Settings, command, lasting, until_text
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
@@ -25,14 +25,13 @@ def bus() -> None:
     """Run a bus in software, for several terminals or programs."""
 
 
-@bus.command()
+@command(group=bus)
 @click.option(
     "--bind", default=DEFAULT_HOST, metavar="HOST", show_default=True, help="Where to listen: an address of this computer."
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0 for any free one.")
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
 @lasting()
-@common
 def serve(settings: Settings, screen: Screen, bind: str, port: int, yes: bool, seconds: float) -> None:
     """Be a CAN bus until Ctrl-C: all other programs hear what one sends.
 

@@ -9,7 +9,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import Duration, Settings, commanding, common
+from canopen_cli.shared.options import Duration, Settings, command, commanding
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
@@ -26,12 +26,11 @@ SHOWN: Final = 3
 """SYNCs that a dry run shows: all of them are alike."""
 
 
-@click.command()
+@command()
 @click.option("--period", type=Duration(low=100 * MICROSECOND), help="One each so often, until Ctrl-C or --count: 10ms, 1s.")
 @click.option("--count", type=click.IntRange(min=1), help="How many.  [default: 1, or no end with --period]")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
 def sync(settings: Settings, screen: Screen, period: Time | None, count: int | None, yes: bool) -> None:
     """Send SYNC: all nodes take and send their synchronous PDOs. A DRIVE THAT WAITS FOR SET-POINTS ACTS ON THEM.
 
@@ -78,9 +77,8 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
             return sent
 
 
-@click.command("time")
+@command("time")
 @commanding
-@common
 def time(settings: Settings, screen: Screen) -> None:
     """Send this computer's time of day to all nodes (TIME, 0x100), once, in UTC.
 

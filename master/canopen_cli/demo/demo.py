@@ -14,7 +14,7 @@ from canopen_cli.motion.record_option import check_record, record_option, record
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, common, enabling, lasting
+from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, command, enabling, lasting
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
@@ -30,7 +30,7 @@ CYCLE = Duration(MILLISECOND, 255 * MILLISECOND)
 PICTURE = click.Path(dir_okay=False, path_type=Path)
 
 
-@click.command()
+@command()
 @click.option("--chains", metavar="FILE", help=f"A chain file, yours or an installed one.  [default: {CHAINS}]")
 @click.option("--chain", metavar="NAME", help="Which chain of that file.  [default: the first]")
 @lasting("How long to move.  [default: 5s]", low=0.5, high=3600, default=5.0)
@@ -59,7 +59,6 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--port", type=click.IntRange(0, 65535), default=8402, show_default=True, help="Of --web; 0: any free one.")
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @enabling
-@common
 def demo(
     settings: Settings,
     screen: Screen,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.declared import describe_device
@@ -20,10 +20,9 @@ from canopen_master.simulation.device_code import load_device
 WRITERS = {".eds": write_eds, ".xdd": write_xdd}
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE.py")
 @click.option("-o", "--output", metavar="OUT", required=True, help="The new file: OUT.eds or OUT.xdd.")
-@common
 def describe(settings: Settings, screen: Screen, path: str, output: str) -> None:
     """Write the EDS or XDD of a device. The Python file is run for it.
 

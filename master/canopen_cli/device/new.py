@@ -11,7 +11,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, escape
 
@@ -19,9 +19,8 @@ SUFFIX: Final = ".py"
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:[-_ ][A-Za-z0-9]+)*")
 
 
-@click.command()
+@command()
 @click.argument("name")
-@common
 def new(settings: Settings, screen: Screen, name: str) -> None:
     """Make a device: a Python file that passes `canopen check` as it is.
 

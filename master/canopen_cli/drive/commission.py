@@ -11,7 +11,7 @@ from canopen_cli.drive.commissioning import dialogue_of
 from canopen_cli.drive.session import axis_of_command, node_of_command
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import DEMO, Settings, common, enabling, without_dry_run
+from canopen_cli.shared.options import DEMO, Settings, command, enabling, without_dry_run
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import is_asked
 from canopen_cli.shared.running import all_stand, run
@@ -23,7 +23,7 @@ from canopen_master.machine_file import machine_text
 from canopen_master.simulation.serving import DEMO_LOCATOR
 
 
-@click.command()
+@command()
 @click.option("-o", "--output", metavar="FILE.toml", help="The machine file to write.  [default: NAME.toml]")
 @click.option("--dcf", metavar="FILE.dcf", help="The drive's values, as they were before.  [default: NAME.dcf]")
 @click.option("--name", help="The name of its joint.  [default: that of the machine file (-m), else driveNODE]")
@@ -33,7 +33,6 @@ from canopen_master.simulation.serving import DEMO_LOCATOR
     "canopen drive commission 3 -b demo --yes    (all of it, with a simulated drive)",
 )
 @enabling
-@common
 def commission(settings: Settings, screen: Screen, output: str | None, dcf: str | None, name: str | None, yes: bool) -> int:
     """Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move. IT MOVES.
 

@@ -14,7 +14,7 @@ from canopen_cli.motion.view import DemoView, JointView
 from canopen_cli.shared.chosen_machine import NUMBER, ChosenMachine
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, option_group, together
+from canopen_cli.shared.options import Duration, Settings, command, commanding, enabling, option_group, together
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.rehearsal import rehearse
 from canopen_cli.shared.running import all_stand, run
@@ -64,12 +64,11 @@ homing_options: Final = option_group(
     click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
     enabling,
     commanding,
-    common,
 )
 """The options of a command that homes. It has `method` besides, and takes `choice` and `lists`."""
 
 
-@click.command()
+@command()
 @click.argument("names", metavar="NODE...", nargs=-1)
 @click.option("--method", type=METHOD, help="Homing method, written to 0x6098; --list has them.")
 @homing_options
@@ -90,7 +89,7 @@ def home(settings: Settings, screen: Screen, names: tuple[str, ...], choice: Hom
         home_nodes(screen, _by_bus(settings, names), choice)
 
 
-@click.command("home", cls=NumberCommand)
+@command("home", cls=NumberCommand)
 @click.argument("method", metavar="[METHOD]", required=False, type=METHOD)
 @homing_options
 def home_one(settings: Settings, screen: Screen, choice: HomingChoice, lists: bool) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import click
 
 from canopen_cli.drive.session import command_drive, read_drive, unit_of_command
-from canopen_cli.shared.options import Duration, Settings, commanding, common
+from canopen_cli.shared.options import Duration, Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen
 from canopen_proto.drives import axis as procedures
@@ -30,8 +30,7 @@ _OUTPUTS = {0: "brake: 1 holds"}
 _SOURCES = {"input": ProbeSource.INPUT, "index": ProbeSource.INDEX, "selected": ProbeSource.SELECTED}
 
 
-@click.command()
-@common
+@command()
 def inputs(settings: Settings, screen: Screen) -> None:
     """Show the digital inputs of a drive (0x60FD).
 
@@ -45,11 +44,10 @@ def inputs(settings: Settings, screen: Screen) -> None:
     _show_bits(screen, _INPUTS, word)
 
 
-@click.command()
+@command()
 @click.argument("changes", metavar="[BIT=0|1]...", nargs=-1)
 @click.option("--cannot-fall", is_flag=True, help="The brake may be opened: this axis cannot fall.")
 @commanding
-@common
 def outputs(settings: Settings, screen: Screen, changes: tuple[str, ...], cannot_fall: bool) -> None:
     """Show the digital outputs of a drive (0x60FE); with BIT=0 or BIT=1 set some of them.
 
@@ -87,13 +85,12 @@ def outputs(settings: Settings, screen: Screen, changes: tuple[str, ...], cannot
     _show_bits(screen, _OUTPUTS, word, mask)
 
 
-@click.command()
+@command()
 @click.option("--probe", "number", type=click.IntRange(1, 2), default=1, help="Which touch probe.  [default: 1]")
 @click.option("--edge", type=click.Choice(["positive", "negative", "both"]), default="positive", help="[default: positive]")
 @click.option("--source", type=click.Choice(list(_SOURCES)), default="input", help="input, index pulse, or as 0x60D0 selects.")
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long to wait for the edge.  [default: 60s]")
 @commanding
-@common
 def probe(settings: Settings, screen: Screen, number: int, edge: str, source: str, limit: Time) -> None:
     """Arm a touch probe (0x60B8), wait for its edge, and show the position there. It moves nothing: move the drive meanwhile.
 

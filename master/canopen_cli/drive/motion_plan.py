@@ -8,7 +8,7 @@ import click
 
 from canopen_cli.demo.demo import CYCLE
 from canopen_cli.drive.session import axis_of_command, node_of_command, run_on_node
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession
@@ -25,11 +25,10 @@ from canopen_proto.procedures.steps import Procedure
 _SHORT: Final = {short_name(mode): mode for mode in MODES}
 
 
-@click.command()
+@command()
 @click.option("--mode", "wish", type=click.Choice(list(_SHORT)), help="Only this mode.  [default: the first that works]")
 @click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @click.option("--feed-forward", is_flag=True, help="With an RPDO for what is fed forward in csp: 0x60B1 and 0x60B2.")
-@common
 def plan(settings: Settings, screen: Screen, wish: str | None, cycle: Time | None, feed_forward: bool) -> None:
     """Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it. Nothing is written.
 

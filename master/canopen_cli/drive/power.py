@@ -8,7 +8,7 @@ import click
 
 from canopen_cli.drive.session import command_drive, node_of_command, show_drive, unit_of_command
 from canopen_cli.shared.numbers import NumberCommand, UnitName, position_text
-from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, lasting
+from canopen_cli.shared.options import Duration, Settings, command, commanding, enabling, lasting
 from canopen_cli.shared.problem import usage, with_bus
 from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
@@ -24,11 +24,10 @@ from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time
 
 
-@click.command()
+@command()
 @lasting()
 @enabling
 @commanding
-@common
 def enable(settings: Settings, screen: Screen, seconds: float) -> None:
     """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none.
 
@@ -56,7 +55,7 @@ def enable(settings: Settings, screen: Screen, seconds: float) -> None:
     show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds < math.inf, enables=True))
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("position", type=float)
 @click.option("--relative", is_flag=True, help="By so much from where it stands.")
 @click.option(
@@ -68,7 +67,6 @@ def enable(settings: Settings, screen: Screen, seconds: float) -> None:
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
 @enabling
 @commanding
-@common
 def move(settings: Settings, screen: Screen, position: float, relative: bool, unit: str | None, limit: Time) -> None:
     """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 

@@ -20,7 +20,7 @@ from canopen_cli.drive.session import (
     unit_of_command,
 )
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.options import Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import look_at_drive, require_drive
@@ -39,8 +39,7 @@ _LOOK: Final = 50 * MILLISECOND
 """Between two positions that show whether a drive moves."""
 
 
-@click.command()
-@common
+@command()
 def state(settings: Settings, screen: Screen) -> None:
     """Show state, mode and position of a drive, and what keeps it from moving.
 
@@ -78,9 +77,8 @@ def _moved(node: AxisNode, view: DriveView) -> Procedure[int]:
     return 0 if stands else way
 
 
-@click.command("fault-reset")
+@command("fault-reset")
 @commanding
-@common
 def fault_reset(settings: Settings, screen: Screen) -> None:
     """Reset a fault: a rising edge of bit 7. It moves nothing: the drive is not enabled afterwards.
 
@@ -90,8 +88,7 @@ def fault_reset(settings: Settings, screen: Screen) -> None:
     take_step(settings, screen, procedures.reset_fault)
 
 
-@click.command()
-@common
+@command()
 def units(settings: Settings, screen: Screen) -> None:
     """Show what the numbers of a drive mean, and which of its objects say so (the factor group).
 
@@ -160,10 +157,9 @@ def _units_json(units: DriveUnits) -> dict[str, Any]:
     }
 
 
-@click.command(cls=NumberCommand)  # a maker's mode is below 0
+@command(cls=NumberCommand)  # a maker's mode is below 0
 @click.argument("name", metavar="[MODE]", required=False)
 @commanding
-@common
 def mode(settings: Settings, screen: Screen, name: str | None) -> None:
     """Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one.
 

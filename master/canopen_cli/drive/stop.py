@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import click
 
 from canopen_cli.drive.session import AXIS, axis_of_command, command_drive, run_on_node, show_drive
-from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.options import Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession
@@ -64,9 +64,8 @@ QUICK_STOP: Final = Stop("quick stop", Command.QUICK_STOP, _quick_stopped)
 DISABLE: Final = Stop("disable voltage", Command.DISABLE_VOLTAGE, shut_down)
 
 
-@click.command()
+@command()
 @commanding
-@common
 def stop(settings: Settings, screen: Screen) -> None:
     """Command a quick stop, and wait until the drive stands. It brakes as 0x605A says; most drives have no power afterwards.
 
@@ -79,9 +78,8 @@ def stop(settings: Settings, screen: Screen) -> None:
     _carry_out(settings, screen, QUICK_STOP)
 
 
-@click.command()
+@command()
 @commanding
-@common
 def disable(settings: Settings, screen: Screen) -> None:
     """Take the power from a drive. One that moves coasts, or is stopped as its maker chose.
 

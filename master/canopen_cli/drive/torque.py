@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.drive.session import command_drive
 from canopen_cli.shared.numbers import NumberCommand, UnitName
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
+from canopen_cli.shared.options import FiniteRange, Settings, command, commanding, enabling, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
@@ -23,7 +23,7 @@ PER_MILLE: Final = "per-mille"
 NEWTON_METRE: Final = "newton-metre"
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("value", type=float)
 @click.option(
     "--in",
@@ -43,7 +43,6 @@ NEWTON_METRE: Final = "newton-metre"
 @click.option("--any-speed", is_flag=True, help="It may be as fast as it can.")
 @enabling
 @commanding
-@common
 def torque(
     settings: Settings,
     screen: Screen,

@@ -10,7 +10,7 @@ import click
 
 from canopen_cli.drive.session import command_drive, unit_of_command
 from canopen_cli.shared.numbers import NumberCommand, UnitName
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting, until_text
+from canopen_cli.shared.options import FiniteRange, Settings, command, commanding, enabling, lasting, until_text
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
@@ -29,7 +29,7 @@ _MODES: Final = {"pv": Mode.PROFILE_VELOCITY, "vl": Mode.VELOCITY}
 _ABOVE_0: Final = FiniteRange(0, min_open=True)
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("value", type=float)
 @click.option(
     "--in",
@@ -44,7 +44,6 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 @click.option("--max-speed", type=_ABOVE_0, help="The highest VALUE; by default the drive's, else 30,000 counts per second.")
 @enabling
 @commanding
-@common
 def velocity(
     settings: Settings,
     screen: Screen,

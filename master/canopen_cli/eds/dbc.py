@@ -8,18 +8,17 @@ from canopen_cli.eds.dcf import commissioned
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.node_files import overlaid
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.dbc import ENCODING, dbc_of
 from canopen_data.named_files import open_description
 
 
-@click.command(name="to-dbc")
+@command(name="to-dbc")
 @click.argument("path", metavar="FILE")
 @click.option("--id", "node_id", metavar="N", type=NodeId(), help="The device's node-ID; a DCF may have it already.")
 @click.option("--name", default="", help="What the device is called in the DBC.  [default: node5]")
 @click.option("-o", "--output", metavar="OUT", required=True, help="The new file.")
-@common
 def to_dbc(settings: Settings, screen: Screen, path: str, node_id: int | None, name: str, output: str) -> None:
     """Make a DBC of a device's PDOs, heartbeat and emergencies, for log tools that know no EDS.
 

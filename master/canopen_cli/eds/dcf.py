@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common, option_group
+from canopen_cli.shared.options import NodeId, Settings, command, option_group
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import as_json, object_json, parse_value, place_text, value_text
@@ -38,12 +38,11 @@ _settings: Final = option_group(
 """The options that name the device and its settings."""
 
 
-@click.command(name="to-dcf")
+@command(name="to-dcf")
 @_settings
 @click.option("--bitrate", type=click.Choice([str(each) for each in BIT_RATES]), help="kbit/s.")
 @click.option("--name", "node_name", help="What the device is called in its network.")
 @click.option("--modules", metavar="N,...", help="Modular device: the number of the module in each slot; 0 for an empty one.")
-@common
 def to_dcf(
     settings: Settings,
     screen: Screen,
@@ -91,9 +90,8 @@ def to_dcf(
     screen.say(f"{escape(output)}: DCF of node {commissioning.node_id}, {counted(len(chosen), 'new setting')}")
 
 
-@click.command(name="to-cdcf")
+@command(name="to-cdcf")
 @_settings
-@common
 def to_cdcf(
     settings: Settings, screen: Screen, path: str, node_id: int | None, assignments: tuple[str, ...], output: str
 ) -> None:

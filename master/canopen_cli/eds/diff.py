@@ -8,7 +8,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.shared.eds_files import tell_faults
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import plain_json
@@ -18,10 +18,9 @@ from canopen_data.named_files import open_description
 _MARKS: Final = {Change.ADDED: "[green]+[/]", Change.REMOVED: "[red]-[/]", Change.CHANGED: "[yellow]~[/]"}
 
 
-@click.command()
+@command()
 @click.argument("before", metavar="A")
 @click.argument("after", metavar="B")
-@common
 def diff(settings: Settings, screen: Screen, before: str, after: str) -> int:
     """Compare two device descriptions by meaning: EDS, DCF, XDD, XDC, in any mixture.
 

@@ -8,7 +8,7 @@ import click
 
 from canopen_cli.shared.eds_files import finding_as_json
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.checks import check
@@ -20,12 +20,11 @@ from canopen_data.repair import repair
 _STYLES = {"+": "green", "-": "red", "@": "cyan"}
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.option("-o", "--output", metavar="OUT", help="The repaired file.")
 @click.option("--in-place", is_flag=True, help="Write it back to FILE.")
 @click.option("--dry-run", is_flag=True, help="Show what would be changed, as a unified diff, and write nothing.")
-@common
 def fix(settings: Settings, screen: Screen, path: str, output: str | None, in_place: bool, dry_run: bool) -> int:
     """Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding.
 

@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.eds import text as eds_text
 from canopen_cli.shared.eds_files import finding_as_json, tell_faults
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import as_json, object_json, place_text
 from canopen_data.checks.structure import field_name
@@ -21,10 +21,9 @@ from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFo
 COLUMNS = ("object", "name", "type", "access", "PDO", "default", "limits")
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.argument("keys", metavar="[OBJECT]...", nargs=-1)
-@common
 def show(settings: Settings, screen: Screen, path: str, keys: tuple[str, ...]) -> None:
     """Show what a device description says: EDS, DCF, XDD, XDC.
 

@@ -10,7 +10,7 @@ import click
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.node_files import overlaid
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import load_dictionary
@@ -19,11 +19,10 @@ from canopen_data.named_files import open_description
 from canopen_data.stubs import identifier, stubs_of
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.option("-o", "--output", metavar="OUT.py", required=True, help="The new Python file.")
 @click.option("--class", "class_name", metavar="NAME", help="The class in it; by default after OUT: drive.py has Drive.")
-@common
 def stubs(settings: Settings, screen: Screen, path: str, output: str, class_name: str | None) -> None:
     """Write a typed view of a device: a Python file with a key for each object.
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, Settings, commanding, common
+from canopen_cli.shared.options import NodeId, Settings, command, commanding
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import open_session
@@ -29,9 +29,8 @@ class ErrorHistory(NamedTuple):
     entries: tuple[int, ...] | None
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
-@common
 def history(settings: Settings, screen: Screen, node_id: int) -> None:
     """Show a node's error register (0x1001) and its last errors (0x1003), the newest first.
 
@@ -55,10 +54,9 @@ def history(settings: Settings, screen: Screen, node_id: int) -> None:
         screen.table(COLUMNS, rows, right=("",))
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @commanding
-@common
 def clear(settings: Settings, screen: Screen, node_id: int) -> None:
     """Have a node forget its last errors: 0 is written to 0x1003:00.
 

@@ -13,7 +13,7 @@ from canopen_cli.live.frame_lines import Buses
 from canopen_cli.live.line_writer import open_line_writer
 from canopen_cli.live.source import open_live_source, recorded, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, lasting, until_text
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -26,12 +26,11 @@ _LEAST: Final = 2
 """Bytes of an emergency that say what it is. Missing ones count as 0, as in EmcyConsumer."""
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @click.option("--node", "nodes", type=NodeIds(), help="Only from these nodes: 5, or 3-8.")
 @recorded
 @lasting()
-@common
 def watch(
     settings: Settings, screen: Screen, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float
 ) -> int:

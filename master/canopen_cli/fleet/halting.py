@@ -5,17 +5,16 @@ from __future__ import annotations
 import click
 
 from canopen_cli.fleet.joining import PlaceText, WayIn, joining
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen
 from canopen_gateway.fleet import FleetPlace
 
 
-@click.command()
+@command()
 @click.argument("place", type=PlaceText(), default="*/*")
 @joining
-@common
 def halt(settings: Settings, screen: Screen, place: FleetPlace, way_in: WayIn) -> int:
     """Stop what moves, at one place or everywhere. Anybody may, always; nothing has to be allowed for it.
 

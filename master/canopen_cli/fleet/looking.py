@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from canopen_cli.fleet.joining import PlaceOfObject, WayIn, joined, joining
-from canopen_cli.shared.options import Settings, common, with_named_object
+from canopen_cli.shared.options import Settings, command, with_named_object
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -16,9 +16,8 @@ from canopen_gateway.fleet import FleetPlace, FleetValue
 from canopen_master.plain_text import clean
 
 
-@click.command()
+@command()
 @joining
-@common
 def ls(settings: Settings, screen: Screen, way_in: WayIn) -> int:
     """List the buses and nodes of a fleet, as their bridges see them.
 
@@ -62,11 +61,10 @@ def ls(settings: Settings, screen: Screen, way_in: WayIn) -> int:
     return ExitCode.OK
 
 
-@click.command()
+@command()
 @click.argument("place", type=PlaceOfObject(node=True))
 @click.argument("objects", nargs=-1, metavar="OBJECT...")
 @joining
-@common
 def read(settings: Settings, screen: Screen, place: FleetPlace, objects: tuple[str, ...], way_in: WayIn) -> int:
     """Read objects of nodes of a fleet, side by side. Exit status 5: a node did not answer; 11: it refused.
 

@@ -8,7 +8,7 @@ import click
 import trio
 
 from canopen_cli.fleet.joining import PlaceText, WayIn, joined, joining
-from canopen_cli.shared.options import Seconds, Settings, common, lasting
+from canopen_cli.shared.options import Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -17,7 +17,7 @@ from canopen_gateway.history import Recorded, record_fleet
 from canopen_gateway.history.recorder import FLUSH, LEAST_FLUSH
 
 
-@click.command()
+@command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), metavar="DIR")
 @click.argument("place", type=PlaceText(), default="*/*")
 @click.option(
@@ -33,7 +33,6 @@ from canopen_gateway.history.recorder import FLUSH, LEAST_FLUSH
 )
 @lasting()
 @joining
-@common
 def record(
     settings: Settings,
     screen: Screen,

@@ -8,13 +8,13 @@ import click
 import trio
 
 from canopen_cli.fleet.joining import Endpoint, or_default, zenoh_file
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_zenoh
 
 
-@click.command()
+@command()
 @click.option(
     "--listen", type=Endpoint(), multiple=True, metavar="ENDPOINT", help=f"Where to listen.  [default: {DEFAULT_ENDPOINT}]"
 )
@@ -22,7 +22,6 @@ from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_ze
 @zenoh_file
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
 @lasting()
-@common
 def router(
     settings: Settings,
     screen: Screen,

@@ -9,7 +9,7 @@ import click
 import trio
 
 from canopen_cli.fleet.joining import PlaceText, WayIn, joined, joining
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted
 from canopen_gateway.fleet import FleetEmcy, FleetNews, FleetPdo, FleetPlace, FleetState, PlaceAppeared, PlaceGone
@@ -17,12 +17,11 @@ from canopen_master.plain_text import json_text
 from canopen_proto.error_codes import error_text
 
 
-@click.command()
+@command()
 @click.argument("place", type=PlaceText(), default="*/*")
 @click.option("--pdos", is_flag=True, help="The PDOs, too: many lines.")
 @lasting()
 @joining
-@common
 def watch(settings: Settings, screen: Screen, place: FleetPlace, pdos: bool, seconds: float, way_in: WayIn) -> None:
     """Tell what happens in a fleet, until Ctrl-C: who comes and goes, states, emergencies.
 

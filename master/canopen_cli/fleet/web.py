@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-import click
 import trio
 
 from canopen_cli.fleet.joining import WayIn, joining
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
@@ -23,12 +22,11 @@ NOT_OVER_A_FLEET: Final = {
 }
 
 
-@click.command()
+@command()
 @web_address
 @allowing
 @lasting()
 @joining
-@common
 def web(
     settings: Settings,
     screen: Screen,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import click
 import trio
 
 from canopen_cli.bus.doctor import LISTEN, LISTENING, bitrates_too, hear, heard_as_json, show_heard, status_of, try_bitrates
 from canopen_cli.live.top_view import BusShown, TopView, as_json, plain
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import DEMO, Settings, common, lasting
+from canopen_cli.shared.options import DEMO, Settings, command, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
@@ -23,10 +22,9 @@ from canopen_transports.receive_test import NO_WIRE
 from canopen_transports.stamp_clock import StampClock
 
 
-@click.command()
+@command()
 @bitrates_too
 @lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
-@common
 def listen(settings: Settings, screen: Screen, bitrates: bool, seconds: float) -> int:
     """Hear who is on a bus, and with --bitrates find its bit rate. Nothing is sent.
 

@@ -19,7 +19,7 @@ from canopen_cli.live.window import Window, clocked, time_of_day, windowed
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.options import Settings, command, commanding
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run, same_file
@@ -57,11 +57,10 @@ for each in (log_record.record, log_export.export, log_plot.plot, log_diff.diff)
     log.add_command(each)
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @windowed
-@common
 def convert(settings: Settings, screen: Screen, source: Path, target: Path, window: Window) -> int:
     """Convert a log file to another kind, which the names tell. Records that this kind cannot hold are counted.
 
@@ -100,14 +99,13 @@ def convert(settings: Settings, screen: Screen, source: Path, target: Path, wind
     return ExitCode.OK
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE)
 @click.option("--speed", default="1", show_default=True, metavar="FACTOR", help="10 is ten times as fast; max: without waiting.")
 @click.option("--only-sent", is_flag=True, help="Only what the recorder sent, such as a master's side.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
 def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_sent: bool, yes: bool, window: Window) -> None:
     """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
 
@@ -149,11 +147,10 @@ def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_se
         screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("--bitrate", metavar="RATE", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
 @windowed
-@common
 def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window: Window) -> None:
     """Count the frames of a file: number, rate and bus load of each CAN-ID.
 
@@ -207,12 +204,11 @@ def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window
     tell_skipped(screen, reader)
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @choosing
 @windowed
 @clocked
-@common
 def decode(settings: Settings, screen: Screen, source: Path, wanted: WantedFrames, window: Window, clock: bool) -> None:
     """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
 
@@ -233,7 +229,7 @@ def decode(settings: Settings, screen: Screen, source: Path, wanted: WantedFrame
     watch.tell_skipped()
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("--bitrate", metavar="RATE", default="", help="Look at the load of the bus, too: 1M, 250k.")
 @click.option(
@@ -246,7 +242,6 @@ def decode(settings: Settings, screen: Screen, source: Path, wanted: WantedFrame
 )
 @windowed
 @clocked
-@common
 def check(settings: Settings, screen: Screen, source: Path, bitrate: str, limit: float, window: Window, clock: bool) -> int:
     """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
 

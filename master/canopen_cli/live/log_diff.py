@@ -13,7 +13,7 @@ from canopen_cli.live.log_values import LoggedValue, values_in
 from canopen_cli.live.reading import watched
 from canopen_cli.live.source import frames_of, reader_of
 from canopen_cli.live.window import Window, windowed
-from canopen_cli.shared.options import NodeIds, Settings, common
+from canopen_cli.shared.options import NodeIds, Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_proto.machine import SECOND
@@ -41,7 +41,7 @@ class Traffic(NamedTuple):
     values: dict[str, LoggedValue]
 
 
-@click.command("diff")
+@command("diff")
 @click.argument("one", metavar="ONE", type=FILE)
 @click.argument("other", metavar="OTHER", type=FILE)
 @click.option("--node", "nodes", type=NodeIds(), help="Only values of these nodes: 5, or 3-8.")
@@ -49,7 +49,6 @@ class Traffic(NamedTuple):
     "--rate", type=click.FloatRange(0), default=20.0, metavar="PERCENT", help="By how much rates may differ.  [default: 20]"
 )
 @windowed
-@common
 def diff(
     settings: Settings, screen: Screen, one: Path, other: Path, nodes: tuple[int, ...] | None, rate: float, window: Window
 ) -> int:

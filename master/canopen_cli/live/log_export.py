@@ -16,7 +16,7 @@ from canopen_cli.live.log_values import LoggedValue, values_in
 from canopen_cli.live.source import FILE_OR_INPUT
 from canopen_cli.live.window import Window, windowed
 from canopen_cli.shared.new_files import check_new_file, new_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.motion.record_files import pyarrow_modules
@@ -31,13 +31,12 @@ ROWS: Final = 65_536
 """Rows that are written at once as Parquet."""
 
 
-@click.command("export")
+@command("export")
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("-o", "--output", required=True, metavar="OUT", help="The table: .csv or .parquet.")
 @click.option("--wide", is_flag=True, help="A column for each object, with its last value; else a row for each value.")
 @choosing
 @windowed
-@common
 def export(
     settings: Settings, screen: Screen, source: Path, output: str, wide: bool, wanted: WantedFrames, window: Window
 ) -> None:

@@ -15,7 +15,7 @@ from canopen_cli.live.frame_lines import Buses, FrameChoice, WantedFrames, choos
 from canopen_cli.live.source import open_live_source
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, Settings, common, lasting, until_text
+from canopen_cli.shared.options import Duration, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -28,7 +28,7 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 """Of the time in the name of each file, with --rotate."""
 
 
-@click.command("record")
+@command("record")
 @click.argument("target", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path))
 @choosing
 @click.option(
@@ -36,7 +36,6 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 )
 @click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files stay; the oldest is deleted.")
 @lasting()
-@common
 def record(
     settings: Settings, screen: Screen, target: Path, wanted: WantedFrames, rotate: Time | None, keep: int | None, seconds: float
 ) -> int:

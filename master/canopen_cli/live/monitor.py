@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Final
 
-import click
 import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, WantedFrames, choosing
@@ -14,7 +13,7 @@ from canopen_cli.live.line_writer import LineWriter, open_line_writer
 from canopen_cli.live.source import Heard, LiveSource, no_file, open_live_source, recorded, tell_skipped
 from canopen_cli.live.window import Window, clocked
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common, lasting, until_text
+from canopen_cli.shared.options import Settings, command, lasting, until_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -28,13 +27,12 @@ LATE: Final = SECOND // 4
 """Longer than a frame is on its way from the bus to us."""
 
 
-@click.command()
+@command()
 @no_file
 @recorded
 @choosing
 @clocked
 @lasting()
-@common
 def monitor(settings: Settings, screen: Screen, source: Path | None, wanted: WantedFrames, clock: bool, seconds: float) -> int:
     """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
 

@@ -18,7 +18,7 @@ from canopen_cli.live.screen import LiveScreen
 from canopen_cli.live.source import LiveSource, no_file, open_live_source, rate_of, recorded
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
@@ -38,14 +38,13 @@ MAX_BUSES: Final = 16
 """Buses of a file: a gateway has fewer."""
 
 
-@click.command()
+@command()
 @no_file
 @recorded
 @click.option("--once", is_flag=True, help=f"Print one table, and end. Of a bus after {LISTENING:g} s, or --for.")
 @click.option("--sort", type=click.Choice(list(SORTS)), default="node", show_default=True, help="The order of the nodes.")
 @click.option("--bitrate", metavar="RATE", default="", help="For the load, where the bus does not tell it: 1M, 250k.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
-@common
 def top(settings: Settings, screen: Screen, source: Path | None, once: bool, sort: str, bitrate: str, seconds: float) -> None:
     """Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong. Nothing is sent.
 

@@ -23,7 +23,7 @@ from canopen_cli.live.watch_view import Around, picture, plain
 from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, NodeOfObject, Settings, common, lasting, with_named_object
+from canopen_cli.shared.options import Duration, NodeOfObject, Settings, command, lasting, with_named_object
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
@@ -54,7 +54,7 @@ STALE_AFTER: Final = 3
 """Periods of --every without a new value after which a value is stale."""
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("keys", metavar="OBJECT...", nargs=-1)
 @click.option("--402", "drive", is_flag=True, help="What a drive shows: state, mode, position, velocity, torque, errors.")
@@ -72,7 +72,6 @@ STALE_AFTER: Final = 3
 @click.option("--plot", is_flag=True, help=f"Draw the last {SPAN:g} s of each number below the table.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
 @click.option("--type", "type_name", type=click.Choice(list(TYPES)), help="Of objects that the dictionary does not have.")
-@common
 def watch(
     settings: Settings,
     screen: Screen,

@@ -19,7 +19,7 @@ from canopen_cli.lss.support import (
     selected,
     windowed,
 )
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -31,11 +31,10 @@ from canopen_proto.machine import Time
 COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
 
 
-@click.command()
+@command()
 @knowing
 @windowed
 @limited
-@common
 def scan(settings: Settings, screen: Screen, known: Known, window: Time, limit: Time) -> int:
     """Find the devices without a node-ID, and show their addresses. Nothing is written. Exit status 5: none was found.
 
@@ -64,7 +63,7 @@ def _matching(chosen: bool) -> str:
     return ", with these numbers" if chosen else ""
 
 
-@click.command()
+@command()
 @click.option("--vendor", type=Unsigned32(), required=True, help="The vendor-ID.")
 @click.option("--product", type=Unsigned32(), required=True, help="The product code.")
 @click.option(
@@ -72,7 +71,6 @@ def _matching(chosen: bool) -> str:
 )
 @click.option("--serial", type=NumberBounds(), default=(0, ALL_ONES), help="Serial numbers, inclusive: 1-100.  [default: all]")
 @windowed
-@common
 def identify(
     settings: Settings,
     screen: Screen,
@@ -108,10 +106,9 @@ def identify(
     screen.say(f"{counted(len(found), 'device')} of this type")
 
 
-@click.command()
+@command()
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @windowed
-@common
 def inquire(settings: Settings, screen: Screen, device: LssTarget, window: Time) -> None:
     """Show the LSS address and the node-ID of one device. Nothing is written.
 

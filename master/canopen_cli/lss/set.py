@@ -26,7 +26,7 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, commanding, common, node_id_of
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, command, commanding, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
@@ -53,14 +53,13 @@ GO_ON: Final = "the same command again: it goes on with those that are left"
 TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 
 
-@click.command("set-id")
+@command("set-id")
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.option("--no-store", is_flag=True, help="Only until the power goes off.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
 def set_id(settings: Settings, screen: Screen, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
     """Give one device a node-ID, or another one.
 
@@ -94,12 +93,11 @@ def set_id(settings: Settings, screen: Screen, device: LssTarget, node_id: int, 
     _show(settings, screen, [run_or_show(settings, screen, change)])
 
 
-@click.command()
+@command()
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
 def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, window: Time) -> None:
     """Let one device store its node-ID and bit rate. DEVICE: see set-id.
 
@@ -124,7 +122,7 @@ def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, wind
     run_or_show(settings, screen, keep)
 
 
-@click.command()
+@command()
 @click.option("--ids", "node_ids", type=NodeIds(), help="The node-IDs to give, in this order: 10-20,30.")
 @click.option(
     "--table", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.csv",
@@ -136,7 +134,6 @@ def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, wind
 @windowed
 @limited
 @commanding
-@common
 def assign(
     settings: Settings,
     screen: Screen,

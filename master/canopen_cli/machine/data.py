@@ -8,7 +8,7 @@ import click
 
 import canopen_data
 from canopen_cli.shared.lazy import NamingGroup
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.screen import Screen, escape
 
 _STYLES = {"created": "green", "replaced": "yellow", "kept": "yellow", "unchanged": "dim"}
@@ -19,7 +19,7 @@ def data() -> None:
     """The object dictionary and the chain files."""
 
 
-@data.command()
+@command(group=data)
 @click.option(
     "-o",
     "--output",
@@ -28,7 +28,6 @@ def data() -> None:
     type=click.Path(file_okay=False, path_type=Path),
     help="Another folder than ~/.canopen.",
 )
-@common
 def init(settings: Settings, screen: Screen, target: Path | None) -> None:
     """Copy the data files to ~/.canopen (or $CANOPEN_DATA).
 

@@ -13,7 +13,7 @@ from canopen_cli.machine.limits import limits_as_json, show_limits
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.named_machine import machine_argument
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.findings import DictionaryError, Finding
@@ -40,9 +40,8 @@ def machine() -> None:
 machine.add_command(import_)
 
 
-@machine.command()
+@command(group=machine)
 @machine_argument
-@common
 def check(settings: Settings, screen: Screen, file: Path | None) -> int:
     """Check a machine file, and the files that it names. Every error is shown, with its line; without errors, what it describes,
     and where the limits of each joint come from.
@@ -131,7 +130,7 @@ def _as_json(machine: MachineFile) -> dict[str, Any]:
     }
 
 
-@machine.command("from-chains")
+@command("from-chains", group=machine)
 @click.argument("chains", metavar="CHAINS.csv")
 @click.option("-o", "--output", metavar="FILE.toml", required=True, help="The machine file to write.")
 @click.option(
@@ -141,7 +140,6 @@ def _as_json(machine: MachineFile) -> dict[str, Any]:
     multiple=True,
     help="The bus that a name of the chain file means; once for each.",
 )
-@common
 def from_chains(settings: Settings, screen: Screen, chains: str, output: str, locators: tuple[str, ...]) -> None:
     """Make a machine file of a chain file of the manual, yours or an installed one. The chain file stays as it is.
 

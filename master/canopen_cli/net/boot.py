@@ -14,7 +14,7 @@ import trio
 from canopen_cli.net.boot_summary import NodeRow, by_state, problem_of, rows_of, success, tally
 from canopen_cli.net.support import ChosenNetwork, OpenNetwork, choose_network, open_network
 from canopen_cli.shared.named_machine import machine_argument
-from canopen_cli.shared.options import Settings, commanding, common, without_dry_run
+from canopen_cli.shared.options import Settings, command, commanding, without_dry_run
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run, run_until_interrupted
@@ -67,11 +67,10 @@ class Booted:
         return problem_of(self.rows(), self.chosen.networks[0].entry.startup)
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
 def boot(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> int:
     """Reset, check, configure and start the nodes of a machine file.
 
@@ -98,11 +97,10 @@ def boot(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> in
     return ExitCode.OK
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @without_dry_run("it goes on until Ctrl-C, by what the nodes do", "canopen net boot --dry-run")
-@common
 def watch(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> None:
     """Boot the nodes, then boot those that come back, and react to lost ones, until Ctrl-C.
 

@@ -12,7 +12,7 @@ import click
 from canopen_cli.bus.scan import find_nodes
 from canopen_cli.shared.device_files import split_file
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import DEMO, NodeIds, Settings, common
+from canopen_cli.shared.options import DEMO, NodeIds, Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -55,7 +55,7 @@ class DeviceFile(NamedTuple):
     description: DeviceDescription
 
 
-@click.command()
+@command()
 @click.option("-o", "--output", metavar="FILE.toml", required=True, help="The machine file to write.")
 @click.option(
     "--files", "folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path),
@@ -63,7 +63,6 @@ class DeviceFile(NamedTuple):
 )  # fmt: skip
 @click.option("--serials", is_flag=True, help="Expect the serial numbers, too: devices that were swapped are noticed.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
-@common
 def init(
     settings: Settings, screen: Screen, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None
 ) -> None:

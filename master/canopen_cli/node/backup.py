@@ -16,7 +16,7 @@ from canopen_cli.node.backup_reading import (
     tell_unread,
 )
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -35,11 +35,10 @@ if TYPE_CHECKING:
     from canopen_data.description import DeviceDescription
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.option("-o", "--output", metavar="FILE.dcf", required=True, help="The new file.")
 @reading_options
-@common
 def backup(
     settings: Settings, screen: Screen, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool
 ) -> int:

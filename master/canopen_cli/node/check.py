@@ -16,7 +16,7 @@ from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_cli.node.check_report import CaseRun, CheckReport, list_cases, write_junit
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import DEMO, Settings, common, without_dry_run
+from canopen_cli.shared.options import DEMO, Settings, command, without_dry_run
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
@@ -40,7 +40,7 @@ ANY_NODE: Final = 1
 """The node-ID of a device whose file is checked alone. No case that runs without the device uses it."""
 
 
-@click.command()
+@command()
 @click.argument("target", metavar="NODE|FILE", required=False)
 @click.option("--case", "numbers", metavar="NUMBER", multiple=True, help="Only this case (2.1) or chapter (3); may be repeated.")
 @click.option("--storing", is_flag=True, help="Also the cases that change what the device stores (1010, 1011).")
@@ -49,7 +49,6 @@ ANY_NODE: Final = 1
 @click.option("--list", "only_list", is_flag=True, help="List the cases, and end.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @without_dry_run("a case is judged by what the node answers to its writes", "canopen check --list", "canopen check FILE.eds")
-@common
 def check(
     settings: Settings,
     screen: Screen,

@@ -12,7 +12,7 @@ import click
 from canopen_cli.node.backup import bit_rate_of, write_dcf
 from canopen_cli.node.backup_reading import check_indices, read_all, reading_as_json, reading_options, tell_unread
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -27,11 +27,10 @@ FORMATS: Final = (".json", ".csv", ".dcf")
 COLUMNS: Final = ("object", "name", "type", "access", "value", "hex")
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.option("-o", "--output", metavar="FILE", help="A file instead: .json, .csv or .dcf.")
 @reading_options
-@common
 def dump(
     settings: Settings, screen: Screen, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool
 ) -> int:

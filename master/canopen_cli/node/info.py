@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import BusSession, open_session
@@ -35,9 +35,8 @@ MAX_WAIT = 2.0
 """Seconds for a heartbeat that shows the NMT state."""
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
-@common
 def info(settings: Settings, screen: Screen, node_id: int) -> None:
     """Show a node's identity, state, errors and PDOs.
 

@@ -13,7 +13,7 @@ from canopen_cli.node.object_files import FileTransfer, read_into_file, write_fr
 from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import NodeOfObject, Settings, commanding, common, enabling, together, with_named_object
+from canopen_cli.shared.options import NodeOfObject, Settings, command, commanding, enabling, together, with_named_object
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
@@ -114,12 +114,11 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
     return ObjectReading(node.node_id, variable, value, ())
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("keys", metavar="OBJECT...", nargs=-1)
 @_accessing
 @click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
-@common
 def read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...], output: str | None) -> int:
     """Read objects of a node. Exit status 7: the node refused some of them.
 
@@ -280,7 +279,7 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
         screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("words", metavar="OBJECT [VALUE]", nargs=-1)
 @_accessing
@@ -288,7 +287,6 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
 @click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
 @enabling
 @commanding
-@common
 def write(settings: Settings, screen: Screen, request: AccessRequest, words: tuple[str, ...], path: str | None) -> None:
     """Write an object of a node, and show its value before and after.
 

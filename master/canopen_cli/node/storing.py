@@ -7,7 +7,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, Settings, TextKind, commanding, common
+from canopen_cli.shared.options import NodeId, Settings, TextKind, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.screen import Screen, node_text
@@ -43,12 +43,11 @@ _GROUP = click.option(
 _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @_GROUP
 @_YES
 @commanding
-@common
 def store(settings: Settings, screen: Screen, node_id: int, group: int, yes: bool) -> None:
     """Have a device keep its present parameters over power-off (0x1010).
 
@@ -67,13 +66,12 @@ def store(settings: Settings, screen: Screen, node_id: int, group: int, yes: boo
         screen.say(f"{node_text(node_id)}: stored (0x{STORE:04X}:{group:02X})")
 
 
-@click.command("reset-defaults")
+@command("reset-defaults")
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @_GROUP
 @click.option("--reset", is_flag=True, help="Reset the node then, so that the defaults count at once: IT STOPS, or coasts.")
 @_YES
 @commanding
-@common
 def reset_defaults(settings: Settings, screen: Screen, node_id: int, group: int, reset: bool, yes: bool) -> None:
     """Have a device take the defaults of its parameters from its next reset on (0x1011). Its node-ID may change with them.
 

@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.bus.scan import find_nodes
 from canopen_cli.pdo.reading import read_all_pdos
-from canopen_cli.shared.options import NodeIds, Settings, common
+from canopen_cli.shared.options import NodeIds, Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -26,9 +26,8 @@ COLUMNS: Final = ("CAN-ID", "bytes", "from", "to", "objects")
 LISTEN: Final = 3 * SECOND // 2
 
 
-@click.command()
+@command()
 @click.option("--ids", "node_ids", type=NodeIds(), help="Of which nodes: 3-8,12. By default of all that a scan finds.")
-@common
 def check(settings: Settings, screen: Screen, node_ids: tuple[int, ...] | None) -> int:
     """Compare the PDOs of nodes: who sends to whom, lengths, CAN-IDs with two senders, PDOs nobody takes.
 

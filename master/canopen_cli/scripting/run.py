@@ -12,19 +12,18 @@ import trio
 
 from canopen_cli.scripting.namespace import compiled, execute, failure_of, names_for
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import Settings, commanding, common, enabling
+from canopen_cli.shared.options import Settings, command, commanding, enabling
 from canopen_cli.shared.running import first_of
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
 from canopen_data.named_files import read_text
 
 
-@click.command("run")
+@command("run")
 @click.argument("script", type=click.Path(dir_okay=False, path_type=Path))
 @click.argument("args", metavar="[ARG]...", nargs=-1)
 @enabling
 @commanding
-@common
 def run_script(settings: Settings, screen: Screen, script: Path, args: tuple[str, ...]) -> None:
     """Run a Python script on a bus that is open already, with `await` at its top level.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
@@ -16,7 +16,7 @@ from canopen_gateway.ascii.address import DEFAULT_HOST, DEFAULT_PORT
 from canopen_proto.gateway import CANOPENNODE, DIALECTS
 
 
-@click.command(name="ascii")
+@command(name="ascii")
 @click.option(
     "--bind", default=DEFAULT_HOST, metavar="HOST", show_default=True, help="Where to listen: an address of this computer."
 )
@@ -38,7 +38,6 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
 )
 @click.option("--reachable", is_flag=True, help="Other computers may reach it, though it has no password.")
 @lasting()
-@common
 def serve_ascii(
     settings: Settings,
     screen: Screen,

@@ -12,7 +12,7 @@ from mcp.server.mcpserver import MCPServer
 
 from canopen_cli.serve.assistant_files import FileTools
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allow_option
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
@@ -25,7 +25,7 @@ from canopen_gateway.web.guard import AsgiApp
 Making: TypeAlias = Callable[[GatewayService, GatewaySession], MCPServer[Any]]
 
 
-@click.command(name="mcp")
+@command(name="mcp")
 @click.option("--http", "port", type=click.IntRange(0, 65535), metavar="PORT", help="By HTTP on this computer; 0: any free port.")
 @allow_option("What the assistant may change: write, store, program, nmt")
 @click.option(
@@ -35,7 +35,6 @@ Making: TypeAlias = Callable[[GatewayService, GatewaySession], MCPServer[Any]]
     help="Recordings that it may look at; none by default.",
 )
 @lasting("End after this time.")
-@common
 def serve_mcp(
     settings: Settings, screen: Screen, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float
 ) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Kind, Seconds, Settings, common, lasting
+from canopen_cli.shared.options import Kind, Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway.mqtt import BrokerAddress, BrokerLogin, MqttDoor, bind_mqtt_door, parse_broker
@@ -33,7 +33,7 @@ class Broker(Kind):
             self.fail(str(error), param, ctx)
 
 
-@click.command(name="mqtt")
+@command(name="mqtt")
 @click.option("--site", required=True, metavar="NAME", help="The name of this computer in topics.")
 @click.option(
     "--broker",
@@ -59,7 +59,6 @@ class Broker(Kind):
 )
 @click.option("--clear-text", is_flag=True, help="The password may cross the network without TLS.")
 @lasting()
-@common
 def serve_mqtt(
     settings: Settings,
     screen: Screen,

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import click
-
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.web_address import BindDoor, web_address
@@ -13,11 +11,10 @@ from canopen_gateway import GatewayService, Permission
 from canopen_gateway.web import WebDoor
 
 
-@click.command(name="web")
+@command(name="web")
 @web_address
 @allowing
 @lasting()
-@common
 def serve_web(
     settings: Settings,
     screen: Screen,

@@ -8,7 +8,7 @@ import click
 
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, TextKind, common, lasting
+from canopen_cli.shared.options import Settings, TextKind, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
@@ -26,7 +26,7 @@ class SiteName(TextKind):
         return check_name("site", text)
 
 
-@click.command(name="zenoh")
+@command(name="zenoh")
 @click.option("--site", type=SiteName(), required=True, metavar="NAME", help="The name of this computer, or its machine: hall-2.")
 @click.option(
     "--listen", type=Endpoint(), multiple=True, metavar="ENDPOINT", help=f"Where to listen.  [default: {DEFAULT_ENDPOINT}]"
@@ -43,7 +43,6 @@ class SiteName(TextKind):
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
 @click.option("--twin", is_flag=True, help="Serve though another bridge has the same site and bus: both halt, no more.")
 @lasting()
-@common
 def serve_zenoh(
     settings: Settings,
     screen: Screen,

@@ -1,6 +1,6 @@
 """The options and kinds of argument that all commands share.
 
-`common` adds -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They
+`command` makes one that has -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color. They
 may also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus, and
 CANOPEN_MACHINE the machine file, if no option does; behind these the configuration file does (configuration.py).
 """
@@ -555,5 +555,27 @@ common_options: Final = option_group(
 )
 """The options that every command has. The settings have their values."""
 
-common: Final = option_group(common_options, _with_screen)
-"""These options. The command gets `settings` and `screen` as its first arguments."""
+
+def _common_params() -> list[click.Parameter]:
+    @click.command()
+    @common_options
+    def bearer() -> None:
+        """Has these alone."""
+
+    return bearer.params
+
+
+def command(
+    name: str | None = None, *, cls: type[click.Command] = click.Command, group: click.Group | None = None
+) -> Callable[[Callable[..., Any]], click.Command]:
+    """As click.command. The command has the common options, and gets `settings` and `screen` as its first arguments. group: to
+    which it is added."""
+
+    def make(function: Callable[..., Any]) -> click.Command:
+        made: click.Command = click.command(name, cls)(_with_screen(function))
+        made.params += _common_params()
+        if group is not None:
+            group.add_command(made)
+        return made
+
+    return make

@@ -12,7 +12,7 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.shared.options import DEMO, Duration, Settings, common, lasting, until_text
+from canopen_cli.shared.options import DEMO, Duration, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -44,7 +44,7 @@ from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, Shape
 DEFAULT_IDS: Final = DEMO_NODES
 
 
-@click.command()
+@command()
 @click.argument("files", metavar="[[NODES=]FILE]...", nargs=-1)
 @click.option(
     "--id",
@@ -77,7 +77,6 @@ DEFAULT_IDS: Final = DEMO_NODES
 )
 @click.option("--erase-time", type=Duration(MILLISECOND), help="Of boot loaders.  [default: 300ms]")
 @lasting()
-@common
 def sim(
     settings: Settings,
     screen: Screen,

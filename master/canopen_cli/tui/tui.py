@@ -9,14 +9,13 @@ import sys
 from collections import deque
 from typing import Any
 
-import click
 from rich.text import Text
 
 from canopen_cli.live.frame_lines import Buses
 from canopen_cli.serve.served import open_with_files
 from canopen_cli.shared.importing import importing
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.permissions import allow_option
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
@@ -32,9 +31,8 @@ from canopen_transports.tracing import listening
 LEAST_COLUMNS, LEAST_LINES = 40, 10
 
 
-@click.command()
+@command()
 @allow_option("What may be changed: write, motion, store, program, nmt, lss")
-@common
 def tui(settings: Settings, screen: Screen, allow: frozenset[Permission]) -> None:
     """A view that stays open: nodes, objects, emergencies, live values, traffic, drives. Needs the extra `tui`.
 
