@@ -57,7 +57,7 @@ def backup(
     check_new_file(settings, screen, output)
     if indices is not None:
         indices = (COMMUNICATION, *indices)  # without the PDOs it would be no backup
-    found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
+    found, description = run(settings, screen, lambda: read_node(settings, screen, node_id, indices, domains))
     bit_rate = bit_rate_of(settings)
     lost = write_dcf(output, found, description, bit_rate)
     other = _other_device(found, description, node_id)
@@ -87,9 +87,10 @@ def _other_device(found: Backup, description: DeviceDescription | None, node_id:
     return f"{description.source} is the file of ANOTHER DEVICE, by {', '.join(map(str, different))}: it may have other objects"
 
 
-async def _backup(
+async def read_node(
     settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
 ) -> tuple[Backup, DeviceDescription | None]:
+    """Read what a node holds, as `read_all` does, and return its own file with it."""
     async with open_session(settings, screen) as session, session.claim(node_id):
         found = await read_all(session, screen, node_id, indices, domains)
         return found, session.description_of(node_id)
