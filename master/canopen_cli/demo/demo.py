@@ -14,7 +14,7 @@ from canopen_cli.motion.record_option import check_record, record_option, record
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, command, enabling, lasting
+from canopen_cli.shared.options import DEMO, FILE, Breakdown, Duration, FiniteRange, Settings, command, enabling, lasting
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
@@ -27,7 +27,6 @@ from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 from canopen_proto.machine import MILLISECOND, Time
 
 CYCLE = Duration(MILLISECOND, 255 * MILLISECOND)
-PICTURE = click.Path(dir_okay=False, path_type=Path)
 
 
 @command()
@@ -44,7 +43,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 )
 @click.option(
     "--plot",
-    type=PICTURE,
+    type=FILE,
     help="Draw positions and following errors, as .png, .svg or .pdf (needs matplotlib).",
 )
 @record_option

@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-from canopen_cli.shared.options import TextKind, together, without_object
+from canopen_cli.shared.options import FILE, TextKind, together, without_object
 from canopen_gateway.errors import FleetError
 from canopen_gateway.fleet import Fleet, FleetPlace, open_fleet, parse_place
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, check_endpoint
@@ -51,7 +51,7 @@ def zenoh_file(command: F) -> F:
     added: F = click.option(
         "--zenoh",
         "config",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE.json5",
         help="A file of Zenoh's configuration: users, TLS, rules of access (docs/fleet.md).",
     )(command)

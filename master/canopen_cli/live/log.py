@@ -19,7 +19,7 @@ from canopen_cli.live.window import Window, clocked, time_of_day, windowed
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, command, commanding
+from canopen_cli.shared.options import FILE, Settings, command, commanding
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run, same_file
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
-FILE: Final = click.Path(dir_okay=False, path_type=Path)
 LEAST_SPAN: Final = SECOND
 """From the first frame to the last, in ns: a few frames in less time come at once, and say nothing about a second."""
 

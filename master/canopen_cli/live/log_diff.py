@@ -13,13 +13,12 @@ from canopen_cli.live.log_values import LoggedValue, values_in
 from canopen_cli.live.reading import watched
 from canopen_cli.live.source import frames_of, reader_of
 from canopen_cli.live.window import Window, windowed
-from canopen_cli.shared.options import NodeIds, Settings, command
+from canopen_cli.shared.options import FILE, NodeIds, Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.observer import Observer
 
-FILE: Final = click.Path(dir_okay=False, path_type=Path)
 COLUMNS: Final = ("what", "one", "other")
 
 

@@ -13,7 +13,7 @@ from canopen_cli.live.source import FILE_OR_INPUT
 from canopen_cli.live.window import Window, windowed
 from canopen_cli.plot.cycles import INK, check_plot, save, style, write_titles
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import NodeIds, Settings, command
+from canopen_cli.shared.options import FILE, NodeIds, Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 
@@ -30,9 +30,7 @@ class Curve(NamedTuple):
 @command("plot")
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.argument("objects", metavar="OBJECT...", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
-)
+@click.option("-o", "--output", type=FILE, help="The picture: .png, .svg, .pdf.  [default: FILE.png]")
 @click.option("--node", "nodes", type=NodeIds(), help="Only of these nodes: 5, or 3-8.")
 @windowed
 def plot(

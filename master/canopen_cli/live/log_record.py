@@ -15,7 +15,7 @@ from canopen_cli.live.frame_lines import Buses, FrameChoice, WantedFrames, choos
 from canopen_cli.live.source import open_live_source
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, Settings, command, lasting, until_text
+from canopen_cli.shared.options import FILE, Duration, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -29,7 +29,7 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 
 
 @command("record")
-@click.argument("target", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("target", metavar="FILE", type=FILE)
 @choosing
 @click.option(
     "--rotate", type=Duration(SECOND), help="Begin a new file each time: 1h. Its name has the time: trace-20260301-120000.log."

@@ -26,7 +26,7 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, command, commanding, node_id_of
+from canopen_cli.shared.options import FILE, NodeId, NodeIds, Settings, command, commanding, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
@@ -125,7 +125,7 @@ def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, wind
 @command()
 @click.option("--ids", "node_ids", type=NodeIds(), help="The node-IDs to give, in this order: 10-20,30.")
 @click.option(
-    "--table", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.csv",
+    "--table", type=FILE, metavar="FILE.csv",
     help=f"Which device gets which: columns {', '.join(TABLE_COLUMNS)}; an empty number fits any.",
 )  # fmt: skip
 @click.option("--no-store", is_flag=True, help="Only until the power goes off.")

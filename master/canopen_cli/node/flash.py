@@ -15,7 +15,7 @@ from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColu
 
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, NodeId, Settings, TextKind, command, commanding
+from canopen_cli.shared.options import FILE, Duration, NodeId, Settings, TextKind, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, cannot_read
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
@@ -99,7 +99,7 @@ class ProgramToFlash:
 
 @command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
-@click.argument("path", metavar="IMAGE", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("path", metavar="IMAGE", type=FILE)
 @click.option("--program", type=click.IntRange(1, MAX_PROGRAM), default=1, show_default=True, help="Which program of the device.")
 @click.option(
     "--expect",

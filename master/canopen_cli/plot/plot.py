@@ -11,7 +11,7 @@ from canopen_cli.plot.curves import JointCurves, MotionCurves, curves_of_path, c
 from canopen_cli.plot.cycles import check_plot
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import Settings, command
+from canopen_cli.shared.options import FILE, Settings, command
 from canopen_cli.shared.screen import Screen, escape
 from canopen_data import text_of
 from canopen_data.path_file import TIME, read_path
@@ -25,9 +25,7 @@ _CLOSE = 1e-9
 
 @command()
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
-)
+@click.option("-o", "--output", type=FILE, help="The picture: .png, .svg, .pdf.  [default: FILE.png]")
 def plot(settings: Settings, screen: Screen, file: str, output: Path | None) -> None:
     """Draw a recording (--record): position, velocity, acceleration and following error.
 

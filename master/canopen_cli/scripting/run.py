@@ -12,7 +12,7 @@ import trio
 
 from canopen_cli.scripting.namespace import compiled, execute, failure_of, names_for
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import Settings, command, commanding, enabling
+from canopen_cli.shared.options import FILE, Settings, command, commanding, enabling
 from canopen_cli.shared.running import first_of
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
@@ -20,7 +20,7 @@ from canopen_data.named_files import read_text
 
 
 @command("run")
-@click.argument("script", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("script", type=FILE)
 @click.argument("args", metavar="[ARG]...", nargs=-1)
 @enabling
 @commanding

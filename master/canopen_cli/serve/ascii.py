@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, command, lasting
+from canopen_cli.shared.options import FILE, Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
@@ -25,9 +25,7 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
     type=click.IntRange(0, 65535),
     help=f"Its TCP port; 0 for any free one.  [default: {DEFAULT_PORT}; none with --unix]",
 )
-@click.option(
-    "--unix", type=click.Path(dir_okay=False, path_type=Path), metavar="PATH", help="A Unix socket, for this user alone."
-)
+@click.option("--unix", type=FILE, metavar="PATH", help="A Unix socket, for this user alone.")
 @allowing
 @click.option(
     "--dialect",

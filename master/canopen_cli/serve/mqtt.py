@@ -9,14 +9,13 @@ from typing import Any, Final
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Kind, Seconds, Settings, command, lasting
+from canopen_cli.shared.options import FILE, Kind, Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway.mqtt import BrokerAddress, BrokerLogin, MqttDoor, bind_mqtt_door, parse_broker
 from canopen_gateway.mqtt.door import LEAST_PERIOD, PERIOD
 
 PASSWORD_VARIABLE: Final = "CANOPEN_MQTT_PASSWORD"
-FILE: Final = click.Path(dir_okay=False, path_type=Path)
 
 
 class Broker(Kind):

@@ -43,6 +43,8 @@ _COMMON_FLAGS: Final = "-b, -m, -e, --json, -v ..."
 _OBJECT: Final = "canopen.object"
 """The key, in `click.Context.meta`, of an object that stands at its node."""
 _NODE_ID: Final = re.compile(r"0[xX][0-9A-Fa-f]+|[0-9]+")
+FILE: Final = click.Path(dir_okay=False, path_type=Path)
+"""A file, perhaps one that is not there yet."""
 DEMO: Final = "demo"
 """The bus on which six simulated drives live, in the same process."""
 
@@ -521,7 +523,7 @@ common_options: Final = option_group(
     _common_option(
         "-m",
         "--machine",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE.toml",
         help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
     ),
@@ -543,7 +545,7 @@ common_options: Final = option_group(
     _common_option("--timeout", type=Duration(is_seconds=True), help="For one answer of a node: 500ms, 2s; also 2, as --for."),
     _common_option(
         "--trace",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE",
         help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
     ),
