@@ -467,7 +467,7 @@ def tui_picture(wanted: TuiView) -> Text:
         settings = Settings()
         with listening(lambda record: watches[0].heard(record) if watches else None) as trace:
             async with open_master(TUI_BUS) as master, open_gateway(master) as service:
-                files = NodeFiles(settings, settings.screen(), load_dictionary()[0])
+                files = NodeFiles(settings, settings.screen())
                 with service.open_session("the view") as session:
                     watches.append(MachineWatch(service, session, files, trace, Buses(files)))
                     async with simulated_drives([(TUI_BUS, 3), (TUI_BUS, 4)]) as drives:

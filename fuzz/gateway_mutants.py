@@ -633,8 +633,8 @@ GATEWAY_MUTANTS: Final = tuple(
         ),
         (
             "fleet_nan_is_a_number",
-            f"{_FLEET}/leading.py",
-            " and abs(value) <= MOST",
+            "canopen_gateway/places.py",
+            " and abs(value) <= 1e300",
             "",
             "a joint is jogged at a velocity that is no number",
             LEAD,
@@ -682,8 +682,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "fleet_any_address",
             f"{_FLEET}/joining.py",
-            '        return ipaddress.ip_address(host.strip("[]")).is_loopback\n',
-            '        return not ipaddress.ip_address(host.strip("[]")).is_multicast\n',
+            '        if not is_loopback(address.partition("#")[0].rpartition(":")[0].strip("[]")):\n',
+            "        if not address:\n",
             "a bridge without passwords listens to other computers",
             FLEET,
         ),

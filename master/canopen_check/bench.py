@@ -367,11 +367,7 @@ class Bench:
     def refusal_of_read(self, index: int, subindex: int) -> Procedure[int | None]:
         """Read an object; return the abort code of a refusal, None if it is not refused. Raises NotInTimeError without an
         answer."""
-        try:
-            yield from self.transfer(upload(self.sdo, index, subindex))
-        except SdoTransferError as failed:
-            return _code_of_peer(failed)
-        return None
+        return (yield from self._refusal_of(upload(self.sdo, index, subindex)))
 
     def refusal_of_write(self, index: int, subindex: int, value: int | bytes) -> Procedure[int | None]:
         """Write an object; return the abort code of a refusal, None if it is not refused. Raises NotInTimeError without an
@@ -380,10 +376,15 @@ class Bench:
         value: bytes as they are, or a number with the width in the dictionary.
         """
         data = value if isinstance(value, bytes) else self.encode(index, subindex, value)
+        return (yield from self._refusal_of(download(self.sdo, index, subindex, data)))
+
+    def _refusal_of(self, access: Procedure[object]) -> Procedure[int | None]:
         try:
-            yield from self.transfer(download(self.sdo, index, subindex, data))
+            yield from self.transfer(access)
         except SdoTransferError as failed:
-            return _code_of_peer(failed)
+            if failed.origin is not AbortOrigin.PEER:
+                raise
+            return failed.abort_code
         return None
 
     def expect_number(self, index: int, subindex: int, expected: int, when: str) -> Procedure[None]:
@@ -411,9 +412,3 @@ def _encoded(variable: Variable, value: Value) -> bytes | None:
         return variable.encode(value)
     except ValueRangeError:
         return None
-
-
-def _code_of_peer(failed: SdoTransferError) -> int:
-    if failed.origin is not AbortOrigin.PEER:
-        raise failed
-    return failed.abort_code

@@ -14,9 +14,9 @@ from canopen_check.bench import Bench
 from canopen_check.case import Case
 from canopen_check.expectations import expect_refusal
 from canopen_check.raw_sdo import MAX_SEGMENTS, abort_code_in, answer, ask, expect_response, initiate
-from canopen_check.sdo_cases import ANY_TIME, DEVICE_TYPE, TIME_SIZE, holds, long_object
-from canopen_proto import indices
+from canopen_check.sdo_cases import ANY_TIME, HEARTBEAT, TIME_SIZE, holds, long_object
 from canopen_proto.abort import AbortCode
+from canopen_proto.indices import DEVICE_TYPE, GUARD_TIME
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.block import ACKNOWLEDGE, END_FRAME, MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.codec import (
@@ -40,9 +40,6 @@ from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect
 
 BAD_BLOCK_SIZE: Final = (AbortCode.INVALID_COMMAND, AbortCode.INVALID_BLOCK_SIZE, AbortCode.GENERAL_ERROR)
 BAD_SEQUENCE: Final = (AbortCode.INVALID_COMMAND, AbortCode.INVALID_SEQUENCE_NUMBER, AbortCode.GENERAL_ERROR)
-
-GUARD_TIME: Final = indices.GUARD_TIME
-HEARTBEAT: Final = indices.PRODUCER_HEARTBEAT_TIME
 
 
 # ---- frame by frame ----

@@ -23,6 +23,7 @@ from typing import Final, TypeAlias, TypeVar
 
 from canopen_check.bench import Bench
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.explained import counted
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
 from canopen_proto.verdict import NotApplicable, Result, Verdict, ViolationError
 
@@ -84,9 +85,9 @@ class Case:
         return notes.verdict(bench.lateness, seen or "")
 
 
-def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]]) -> Procedure[int]:
-    """Check each item, whatever is wrong with the others; return their number. Failures and refusals are noted. look: makes the
-    check of an item.
+def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]], what: str = "object") -> Procedure[str]:
+    """Check each item, whatever is wrong with the others; return their number, such as "3 objects". Failures and refusals are
+    noted. look: makes the check of an item. what: an item, in the singular.
 
     If the device does not answer at all, the case ends: to wait for each item would take minutes.
     """
@@ -101,4 +102,4 @@ def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[obj
             bench.notes.fail(failed)
         except ViolationError as violation:
             bench.notes.fail(violation)
-    return count
+    return counted(count, what)

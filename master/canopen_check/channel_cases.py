@@ -12,21 +12,21 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
 from canopen_check.case import Case, for_each
 from canopen_check.dictionary_cases import expect_defaults
-from canopen_check.expectations import expect_refusal
+from canopen_check.expectations import expect_refusal, some
 from canopen_check.raw_sdo import ask, initiate
-from canopen_check.sdo_cases import DEVICE_TYPE, NO_OBJECT
+from canopen_check.sdo_cases import NO_OBJECT
 from canopen_check.storing_cases import save
 from canopen_proto.cob_id import is_valid
 from canopen_proto.dictionary import Variable
 from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID, RoutingKey, key_of_cob_id
-from canopen_proto.indices import SDO_CLIENTS
+from canopen_proto.indices import DEVICE_TYPE, SDO_CLIENTS
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
-from canopen_proto.verdict import does_not_apply, expect, expect_equal
+from canopen_proto.verdict import expect, expect_equal
 
 TRIAL_TO_SERVER: Final = RoutingKey(0x6D0)
 TRIAL_TO_CLIENT: Final = RoutingKey(0x6D1)
@@ -108,9 +108,7 @@ def further_servers(bench: Bench) -> Procedure[str]:
 
 def servers_after_reset(bench: Bench) -> Procedure[str]:
     """2.29: reset communication puts the records back, and closes the channels that they no longer hold."""
-    found = configurable(bench, FURTHER_SERVERS)
-    if not found:
-        does_not_apply("no further SDO server has COB-IDs that can be written")
+    found = some(configurable(bench, FURTHER_SERVERS), "no further SDO server has COB-IDs that can be written")
     for index in found:
         yield from write_channel(bench, index, TRIAL_TO_SERVER, TRIAL_TO_CLIENT)
         yield from expect_server(bench, index, TRIAL_TO_SERVER, TRIAL_TO_CLIENT)
@@ -122,9 +120,7 @@ def servers_after_reset(bench: Bench) -> Procedure[str]:
 def saved_clients(bench: Bench) -> Procedure[str]:
     """2.30: saved values of the records are there after reset communication. The case ends with the values saved before."""
     yield from read_records(bench, SDO_CLIENTS)
-    found = configurable(bench, SDO_CLIENTS)
-    if not found:
-        does_not_apply("no SDO client has COB-IDs that can be written")
+    found = some(configurable(bench, SDO_CLIENTS), "no SDO client has COB-IDs that can be written")
     before = []
     for index in found:
         to_server = yield from bench.number(index, TO_SERVER)

@@ -12,6 +12,7 @@ from canopen_check.bench import Bench
 from canopen_check.case import Case
 from canopen_data.checks import check
 from canopen_data.findings import Severity
+from canopen_proto.explained import counted
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.verdict import ViolationError, does_not_apply
 
@@ -26,7 +27,7 @@ def check_file(bench: Bench) -> Procedure[str]:
         if each.severity is Severity.ERROR:
             bench.notes.fail(ViolationError(str(each)))
     warnings = sum(1 for each in found if each.severity is Severity.WARNING)
-    return f"{warnings} warning{'' if warnings == 1 else 's'}" if warnings else ""
+    return counted(warnings, "warning") if warnings else ""
 
 
 CASES: Final = (Case("1.0", "EDS checker", "Check the EDS file", check_file, uses_device=False),)

@@ -13,7 +13,7 @@ from typing import Final, NoReturn
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import expect_refusal
+from canopen_check.expectations import expect_refusal, some
 from canopen_check.sdo_cases import (
     ANY_TIME,
     NEVER_WRITTEN,
@@ -33,7 +33,7 @@ from canopen_proto.explained import counted
 from canopen_proto.indices import COMMUNICATION_AREA, ERROR_REGISTER, MANUFACTURER_AREA, MANUFACTURER_STATUS_REGISTER
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Procedure, SdoTransferError
-from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
+from canopen_proto.verdict import ViolationError, expect, expect_equal
 
 FIRST_OF_MAKER: Final = 0x2000
 """The first index after the communication area."""
@@ -83,12 +83,12 @@ def expect_defaults(bench: Bench, variables: Iterable[Variable]) -> Procedure[st
         changes = f"{before.hex(' ')}, then {seen.hex(' ')}"
         bench.notes.remark(f"{variable.label} changes with a reset ({changes}): it is not compared with its default")
 
-    count = yield from for_each(bench, variables, look)
+    compared = yield from for_each(bench, variables, look)
     if doubtful:
         yield from bench.reset()
         yield from for_each(bench, doubtful, look_again)
     told = f", {named_before} of them with another value, as named before" if named_before else ""
-    return f"{counted(count, 'object')}{told}"
+    return f"{compared}{told}"
 
 
 def _name(bench: Bench, variable: Variable, seen: bytes) -> NoReturn:
@@ -123,8 +123,7 @@ def expect_put_back(bench: Bench, before: list[tuple[Variable, bytes]]) -> Proce
 def read_all(bench: Bench) -> Procedure[str]:
     """4.1: every readable object can be read, with the length of its type."""
     readable = [variable for variable in bench.dictionary if variable.access.readable]
-    count = yield from for_each(bench, readable, partial(_read, bench))
-    return counted(count, "object")
+    return (yield from for_each(bench, readable, partial(_read, bench)))
 
 
 def _read(bench: Bench, variable: Variable) -> Procedure[None]:
@@ -153,15 +152,12 @@ def write_read_only(bench: Bench) -> Procedure[str]:
         expect_refusal(code, READ_ONLY, f"writing {variable.label}")
 
     constant = [variable for variable in bench.dictionary if not variable.access.writable]
-    count = yield from for_each(bench, constant, look)
-    return counted(count, "object")
+    return (yield from for_each(bench, constant, look))
 
 
 def compare_structure(bench: Bench) -> Procedure[str]:
     """4.5: subindex 255 holds the object type in its lowest byte, and above it the data type (of an array: of its elements)."""
     found = [described for described in bench.dictionary.objects.values() if STRUCTURE in described.variables]
-    if not found:
-        does_not_apply("no object has a subindex 255")
 
     def look(described: Object) -> Procedure[None]:
         structure = yield from bench.number(described.index, STRUCTURE)
@@ -170,8 +166,7 @@ def compare_structure(bench: Bench) -> Procedure[str]:
         if described.object_type is ObjectType.ARRAY and 1 in described.variables:
             expect_equal(structure >> 8, int(described.variables[1].data_type), f"the data type in {label}")
 
-    count = yield from for_each(bench, found, look)
-    return counted(count, "object")
+    return (yield from for_each(bench, some(found, "no object has a subindex 255"), look))
 
 
 def check_limits(bench: Bench) -> Procedure[str]:
@@ -180,9 +175,7 @@ def check_limits(bench: Bench) -> Procedure[str]:
     In the communication area a value within limits may still be wrong (a COB-ID, a number of entries). In the profile area a
     device may refuse a value that it does not support (a mode of operation), but not as too high or too low.
     """
-    found = limited(bench)
-    if not found:
-        does_not_apply("no object has limits of its own")
+    found = some(limited(bench), "no object has limits of its own")
 
     def look(limit: tuple[Variable, int, int | float, Collection[AbortCode]]) -> Procedure[None]:
         variable, beyond, within, codes = limit
@@ -224,8 +217,7 @@ def write_back(bench: Bench) -> Procedure[str]:
         and (bench.strict or variable.index >= FIRST_OF_MAKER)
         and not (variable.object_flags | bench.dictionary.objects[variable.index].object_flags) & NO_DOWNLOAD
     ]
-    count = yield from for_each(bench, found, look)
-    return counted(count, "object")
+    return (yield from for_each(bench, found, look))
 
 
 def access_all(bench: Bench) -> Procedure[str]:

@@ -12,19 +12,16 @@ from canopen_check.emergencies import code_of, errors_heard, next_error
 from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_cases import PROFILE_EVENTS
 from canopen_check.pdo_tools import key_of, length_of, set_up, usable
-from canopen_proto import indices
+from canopen_check.sdo_cases import ERROR_HISTORY
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction
 from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID, EMCY
+from canopen_proto.indices import COB_ID_EMERGENCY, ERROR_REGISTER
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.verdict import expect, expect_equal
-
-ERROR_REGISTER: Final = indices.ERROR_REGISTER
-HISTORY: Final = indices.PREDEFINED_ERROR_FIELD
-COB_ID_EMCY: Final = indices.COB_ID_EMERGENCY
 
 GENERIC_ERROR: Final = 0x01
 
@@ -33,8 +30,8 @@ NO_DATA: Final = (AbortCode.NO_DATA, AbortCode.NO_SUCH_SUBINDEX, AbortCode.CANNO
 
 def cob_id(bench: Bench) -> Procedure[None]:
     """5.1: the COB-ID is as described, and, if valid, that of the predefined connection set by default."""
-    yield from bench.expect_default(COB_ID_EMCY, 0, "after a reset")
-    seen = yield from bench.number(COB_ID_EMCY)
+    yield from bench.expect_default(COB_ID_EMERGENCY, 0, "after a reset")
+    seen = yield from bench.number(COB_ID_EMERGENCY)
     if not seen & COB_ID_INVALID:
         expect_equal(seen, EMCY + bench.node_id, "0x1014:00, by the predefined connection set,")
 
@@ -47,11 +44,11 @@ def no_error(bench: Bench) -> Procedure[None]:
 
 def empty_history(bench: Bench) -> Procedure[str]:
     """5.3: an empty error history has no entry to read. A history that survived the reset has some."""
-    count = yield from bench.number(HISTORY)
+    count = yield from bench.number(ERROR_HISTORY)
     if count == 0:
-        expect_refusal((yield from bench.refusal_of_read(HISTORY, 1)), NO_DATA, "reading 0x1003:01 of an empty history")
+        expect_refusal((yield from bench.refusal_of_read(ERROR_HISTORY, 1)), NO_DATA, "reading 0x1003:01 of an empty history")
     else:
-        yield from bench.read(HISTORY, 1)
+        yield from bench.read(ERROR_HISTORY, 1)
     return counted(count, "error")
 
 
@@ -88,17 +85,17 @@ def register_of_error(bench: Bench) -> Procedure[None]:
 def history_of_error(bench: Bench) -> Procedure[None]:
     """5.6: the newest entry of the history has the code of the message; the history can be cleared."""
     message = yield from force_error(bench)
-    entry = yield from bench.number(HISTORY, 1)
+    entry = yield from bench.number(ERROR_HISTORY, 1)
     expect_equal(entry & 0xFFFF, code_of(message), "the error code in 0x1003:01")
-    yield from bench.write(HISTORY, 0, 0)
-    yield from bench.expect_number(HISTORY, 0, 0, "after clearing")
+    yield from bench.write(ERROR_HISTORY, 0, 0)
+    yield from bench.expect_number(ERROR_HISTORY, 0, 0, "after clearing")
 
 
 CASES: Final = (
-    Case("5.1", "Emergency 01", "Check the COB-ID in 0x1014:00", cob_id, (COB_ID_EMCY,)),
+    Case("5.1", "Emergency 01", "Check the COB-ID in 0x1014:00", cob_id, (COB_ID_EMERGENCY,)),
     Case("5.2", "Emergency 02", "Read 0x1001:00", no_error, (ERROR_REGISTER,)),
-    Case("5.3", "Emergency 03", "Read 0x1003:01", empty_history, (HISTORY,)),
-    Case("5.4", "Emergency 04", "Force an emergency message", emergency, (COB_ID_EMCY,)),
-    Case("5.5", "Emergency 05", "Read 0x1001:00 while there is an error", register_of_error, (COB_ID_EMCY, ERROR_REGISTER)),
-    Case("5.6", "Emergency 06", "Compare 0x1003:01 with the message", history_of_error, (COB_ID_EMCY, HISTORY)),
+    Case("5.3", "Emergency 03", "Read 0x1003:01", empty_history, (ERROR_HISTORY,)),
+    Case("5.4", "Emergency 04", "Force an emergency message", emergency, (COB_ID_EMERGENCY,)),
+    Case("5.5", "Emergency 05", "Read 0x1001:00 while there is an error", register_of_error, (COB_ID_EMERGENCY, ERROR_REGISTER)),
+    Case("5.6", "Emergency 06", "Compare 0x1003:01 with the message", history_of_error, (COB_ID_EMERGENCY, ERROR_HISTORY)),
 )

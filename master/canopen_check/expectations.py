@@ -13,12 +13,14 @@ the cause. All others are certain.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Final
+from typing import Final, TypeVar
 
 from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.procedures.steps import ProcedureError, StepTimeoutError
-from canopen_proto.verdict import Result, Verdict, ViolationError
+from canopen_proto.verdict import Result, Verdict, ViolationError, does_not_apply
+
+T = TypeVar("T")
 
 LATE: Final = 20 * MILLISECOND
 """If our process is later than this, it cannot call others late: a fifth of the shortest period that is measured."""
@@ -92,6 +94,20 @@ class Notes:
         if remarks:
             return Verdict(Result.REMARK, _summary(remarks), (), remarks)
         return Verdict(Result.PASSED, seen)
+
+
+def some(found: list[T], otherwise: str) -> list[T]:
+    """Return what was found; without any, the case does not apply. otherwise: the reason then."""
+    if not found:
+        does_not_apply(otherwise)
+    return found
+
+
+def expect_taken(abort_code: int | None, what: str) -> None:
+    """Go on if an access was not refused, else raise ViolationError. abort_code: None if it was not refused. what: the access,
+    for the text."""
+    if abort_code is not None:
+        raise ViolationError(f"{what} was refused with 0x{abort_code:08X}")
 
 
 def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: str) -> None:

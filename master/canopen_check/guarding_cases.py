@@ -6,26 +6,23 @@ A device has one or the other: while it produces a heartbeat, it does not answer
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_heard, expect_no_error, next_error
-from canopen_check.expectations import TimingError
+from canopen_check.expectations import TimingError, some
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
-from canopen_proto import indices
 from canopen_proto.explained import counted
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
 from canopen_proto.guarding import TOGGLE
-from canopen_proto.indices import COB_ID_EMERGENCY
+from canopen_proto.indices import COB_ID_EMERGENCY, GUARD_TIME, LIFE_TIME_FACTOR
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
-from canopen_proto.verdict import does_not_apply, expect, expect_equal
-
-GUARD_TIME: Final = indices.GUARD_TIME
-LIFE_TIME_FACTOR: Final = indices.LIFE_TIME_FACTOR
+from canopen_proto.verdict import expect, expect_equal
 
 PERIOD: Final = 100 * MILLISECOND
 FACTOR: Final = 3
@@ -119,9 +116,7 @@ def life_guarding(bench: Bench) -> Procedure[None]:
 def one_of_both(bench: Bench) -> Procedure[None]:
     """7.201: the objects of error control have their defaults, and these do not use both heartbeat and guarding."""
     found = [index for index in _BOTH if bench.dictionary.has_index(index)]
-    if not found:
-        does_not_apply("the dictionary has no heartbeat and no guarding")
-    for index in found:
+    for index in some(found, "the dictionary has no heartbeat and no guarding"):
         yield from bench.expect_default(index, 0, "after a reset")
     guarded = bench.default(GUARD_TIME) and bench.default(LIFE_TIME_FACTOR)
     expect(not (bench.default(HEARTBEAT) and guarded), "by default both heartbeat and guarding are in use")
@@ -140,8 +135,8 @@ def guarding_instead(bench: Bench) -> Procedure[None]:
     yield from toggle(bench)
 
 
-def _heartbeats(bench: Bench, *, guard: bool, ask: bool) -> Procedure[str]:
-    """Switch the heartbeat on, and guarding on or off; check that heartbeats come and nothing else, requested or not."""
+def heartbeats(guard: bool, ask: bool, bench: Bench) -> Procedure[str]:
+    """7.204 to 7.207: with the heartbeat on, heartbeats come and nothing else. guard: guarding is on too. ask: ask for it."""
     yield from _configure(bench, *((PERIOD, FACTOR) if guard else (0, 0)))
     yield from bench.write(HEARTBEAT, 0, PERIOD // MILLISECOND)
     bench.probe.forget(bench.error_control_key)
@@ -158,28 +153,13 @@ def _heartbeats(bench: Bench, *, guard: bool, ask: bool) -> Procedure[str]:
     return counted(len(heard), "heartbeat")
 
 
-def heartbeat_on(bench: Bench) -> Procedure[str]:
-    """7.204: guarding off, heartbeat on: heartbeats."""
-    return (yield from _heartbeats(bench, guard=False, ask=False))
-
-
-def heartbeat_on_asked(bench: Bench) -> Procedure[str]:
-    """7.205: the same, and requests are not answered."""
-    return (yield from _heartbeats(bench, guard=False, ask=True))
-
-
-def both_on(bench: Bench) -> Procedure[str]:
-    """7.206: both on: heartbeats."""
-    return (yield from _heartbeats(bench, guard=True, ask=False))
-
-
-def both_on_asked(bench: Bench) -> Procedure[str]:
-    """7.207: the same, and requests are not answered."""
-    return (yield from _heartbeats(bench, guard=True, ask=True))
-
-
 _GUARDING: Final = (GUARD_TIME, LIFE_TIME_FACTOR)
 _BOTH: Final = (*_GUARDING, HEARTBEAT)
+
+
+def _beside(number: str, name: str, title: str, *, guard: bool, ask: bool) -> Case:
+    return Case(number, name, title, partial(heartbeats, guard, ask), _BOTH)
+
 
 CASES: Final = (
     Case("7.1", "Guarding 01", "Read 0x100C and 0x100D", read_objects, _GUARDING),
@@ -191,8 +171,8 @@ CASES: Final = (
     Case("7.201", "Heartbeat versus guarding 01", "Check the heartbeat and guarding objects", one_of_both),
     Case("7.202", "Heartbeat versus guarding 02", "Switch off the heartbeat", heartbeat_off, _BOTH),
     Case("7.203", "Heartbeat versus guarding 03", "Test node guarding", guarding_instead, _BOTH),
-    Case("7.204", "Heartbeat versus guarding 04", "Guarding off and heartbeat on", heartbeat_on, _BOTH),
-    Case("7.205", "Heartbeat versus guarding 05", "Heartbeat on, guarding off: send remote frames", heartbeat_on_asked, _BOTH),
-    Case("7.206", "Heartbeat versus guarding 06", "Heartbeat on, guarding on: wait for heartbeats", both_on, _BOTH),
-    Case("7.207", "Heartbeat versus guarding 07", "Heartbeat on, guarding on: send remote frames", both_on_asked, _BOTH),
+    _beside("7.204", "Heartbeat versus guarding 04", "Guarding off and heartbeat on", guard=False, ask=False),
+    _beside("7.205", "Heartbeat versus guarding 05", "Heartbeat on, guarding off: send remote frames", guard=False, ask=True),
+    _beside("7.206", "Heartbeat versus guarding 06", "Heartbeat on, guarding on: wait for heartbeats", guard=True, ask=False),
+    _beside("7.207", "Heartbeat versus guarding 07", "Heartbeat on, guarding on: send remote frames", guard=True, ask=True),
 )

@@ -8,7 +8,7 @@ from typing import Final
 from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_heard, expect_no_error, next_error
-from canopen_check.expectations import TimingError, expect_refusal
+from canopen_check.expectations import TimingError, expect_refusal, some
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.explained import counted
@@ -17,7 +17,7 @@ from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
-from canopen_proto.verdict import ViolationError, does_not_apply, expect_equal
+from canopen_proto.verdict import ViolationError, expect_equal
 
 CONSUMER: Final = indices.CONSUMER_HEARTBEAT_TIME
 PRODUCER: Final = indices.PRODUCER_HEARTBEAT_TIME
@@ -65,9 +65,7 @@ def stop_heartbeat(bench: Bench) -> Procedure[None]:
 def _entries(bench: Bench) -> list[int]:
     """Return the subindices of the consumer heartbeat time; without any, the case does not apply."""
     found = [subindex for subindex in bench.dictionary.objects[CONSUMER].variables if subindex]
-    if not found:
-        does_not_apply("0x1016 has no entry")
-    return found
+    return some(found, "0x1016 has no entry")
 
 
 def _clear_entries(bench: Bench) -> Procedure[list[int]]:

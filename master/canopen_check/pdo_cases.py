@@ -32,8 +32,7 @@ from canopen_check.pdo_tools import (
     usable,
 )
 from canopen_check.probe import FrameHeard
-from canopen_check.sdo_cases import NO_OBJECT
-from canopen_proto import indices
+from canopen_check.sdo_cases import NO_OBJECT, SYNC_OVERFLOW
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction
 from canopen_proto.explained import counted
@@ -44,8 +43,6 @@ from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
 from canopen_proto.procedures.steps import Procedure, current_time
 from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
-
-SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
 ACYCLIC: Final = 0
 ON_REQUEST: Final = 253
@@ -60,11 +57,12 @@ RESTLESS: Final = "its values change by themselves: each change is an event too"
 WATCHED: Final = 8
 """SYNCs, at uneven times, in which a value that changes by itself shows it."""
 
-_COMMANDS: Final = {
+LEADS_TO: Final = {
+    NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
     NmtState.OPERATIONAL: NmtCommand.START,
     NmtState.STOPPED: NmtCommand.STOP,
-    NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
 }
+"""The command that leads to a state from each other state."""
 
 
 def scan(direction: Direction, bench: Bench) -> Procedure[str]:
@@ -108,7 +106,7 @@ def expect_data(bench: Bench, pdo: Pdo, heard: list[FrameHeard]) -> None:
 
 def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[str | None]:
     """Lead the device to a state, check the TPDO, and always lead it back to a state in which the TPDO can be set up."""
-    yield from bench.command(_COMMANDS[state])
+    yield from bench.command(LEADS_TO[state])
     bench.probe.listen_also(key_of(bench, pdo))
     try:
         remark = yield from look(bench, pdo, state is NmtState.OPERATIONAL)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from canopen_check.bench import Bench
+from canopen_check.expectations import some
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
@@ -24,7 +25,6 @@ from canopen_proto.pdo.settings import (
     place_of,
 )
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.verdict import does_not_apply
 
 _CAN_ID: Final = 0x3FFF_FFFF  # with the frame bit
 
@@ -61,9 +61,7 @@ def all_pdos(bench: Bench, *directions: Direction) -> list[Pdo]:
             pdo = Pdo(place.direction, place.number)
             if bench.dictionary.get(pdo.communication, COB_ID) is not None:
                 found.append(pdo)
-    if not found:
-        does_not_apply(f"the dictionary has no {' and no '.join(directions)}")
-    return found
+    return some(found, f"the dictionary has no {' and no '.join(directions)}")
 
 
 def usable(bench: Bench, *directions: Direction) -> list[Pdo]:
@@ -75,12 +73,9 @@ def usable(bench: Bench, *directions: Direction) -> list[Pdo]:
         and 0 < bench.default(pdo.mapping) <= MAX_ENTRIES
         and 0 < length_of(bench, pdo) <= MAX_BITS // 8
     ]
-    if not found:
-        does_not_apply(f"no {' and no '.join(directions)} has a CAN-ID and a mapping by default")
+    found = some(found, f"no {' and no '.join(directions)} has a CAN-ID and a mapping by default")
     settable = [pdo for pdo in found if has(bench, pdo, COB_ID)]
-    if not settable:
-        does_not_apply(f"no {' and no '.join(directions)} has a COB-ID that can be written")
-    return settable
+    return some(settable, f"no {' and no '.join(directions)} has a COB-ID that can be written")
 
 
 def with_writable_mapping(bench: Bench, *directions: Direction) -> list[Pdo]:
@@ -90,9 +85,7 @@ def with_writable_mapping(bench: Bench, *directions: Direction) -> list[Pdo]:
         count, entry = bench.dictionary.get(pdo.mapping), bench.dictionary.get(pdo.mapping, 1)
         if count is not None and entry is not None and count.access.writable and entry.access.writable:
             found.append(pdo)
-    if not found:
-        does_not_apply(f"no {' and no '.join(directions)} has a mapping that can be written")
-    return found
+    return some(found, f"no {' and no '.join(directions)} has a mapping that can be written")
 
 
 def has(bench: Bench, pdo: Pdo, subindex: int) -> bool:

@@ -9,11 +9,12 @@ block transfers.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import expect_refusal
+from canopen_check.expectations import expect_refusal, expect_taken, some
 from canopen_check.raw_sdo import (
     abort_code_in,
     ask,
@@ -28,7 +29,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, range_of
 from canopen_proto.dictionary import Variable
 from canopen_proto.explained import counted
-from canopen_proto.indices import GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DEFAULT_PARAMETERS, STORE_PARAMETERS
+from canopen_proto.indices import DEVICE_TYPE, GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DEFAULT_PARAMETERS, STORE_PARAMETERS
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT, expedited_data
@@ -46,7 +47,6 @@ TOO_LOW: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_LOW, AbortCode.GE
 NOT_NOW: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.DEVICE_STATE, AbortCode.GENERAL_ERROR)
 BAD_TOGGLE: Final = (AbortCode.TOGGLE_NOT_ALTERNATED, AbortCode.GENERAL_ERROR)
 
-DEVICE_TYPE: Final = indices.DEVICE_TYPE
 SDO_SERVER: Final = indices.SDO_SERVER_PARAMETER
 ERROR_HISTORY: Final = indices.PREDEFINED_ERROR_FIELD
 HEARTBEAT: Final = indices.PRODUCER_HEARTBEAT_TIME
@@ -59,6 +59,7 @@ ANY_TIME: Final = 0x0155
 """A number of ms (0.3 s) or of 100 us that any object for a time takes, and the next number too."""
 TIME_SIZE: Final = 2
 """The number of bytes of such an object."""
+NO_TRIAL: Final = "no communication object can be changed for a trial"
 
 
 def settings(bench: Bench) -> Iterator[Variable]:
@@ -87,9 +88,7 @@ def takes_any_time(variable: Variable) -> bool:
 def long_object(bench: Bench) -> Variable:
     """Return a readable object of more than four bytes, best a constant one; without any, the case does not apply."""
     found = [each for each in bench.dictionary if each.access.readable and _length(bench, each) > 4]
-    if not found:
-        does_not_apply("no object has more than four bytes")
-    return min(found, key=lambda each: (each.access.writable, each.mux))
+    return min(some(found, "no object has more than four bytes"), key=lambda each: (each.access.writable, each.mux))
 
 
 def _length(bench: Bench, variable: Variable) -> int:
@@ -122,8 +121,6 @@ def read_and_write(bench: Bench) -> Procedure[str]:
     found = list(settings(bench))
     times = [variable for variable in found if takes_any_time(variable)]
     chosen = found if bench.strict else sorted(times, key=lambda variable: variable.index != HEARTBEAT)[:1]
-    if not chosen:
-        does_not_apply("no communication object can be changed for a trial")
 
     def look(variable: Variable) -> Procedure[None]:
         place = variable.index, variable.subindex
@@ -134,13 +131,10 @@ def read_and_write(bench: Bench) -> Procedure[str]:
             yield from expect_own_value(bench, variable, before)
             return
         for written in (ANY_TIME.to_bytes(len(before), "little"), before):
-            refusal = yield from bench.refusal_of_write(*place, written)
-            if refusal is not None:
-                raise ViolationError(f"{variable.label} = {written.hex(' ')} was refused with 0x{refusal:08X}")
+            expect_taken((yield from bench.refusal_of_write(*place, written)), f"{variable.label} = {written.hex(' ')}")
             expect_equal((yield from bench.read(*place)), written, f"{variable.label}, read back,")
 
-    count = yield from for_each(bench, chosen, look)
-    return f"{count} object{'' if count == 1 else 's'}"
+    return (yield from for_each(bench, some(chosen, NO_TRIAL), look))
 
 
 def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Procedure[None]:
@@ -150,12 +144,9 @@ def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Proced
     then, and the standard does not say whether the same value is a change.
     """
     refusal = yield from bench.refusal_of_write(variable.index, variable.subindex, content)
-    if refusal is None:
-        return
-    place = place_of(variable.index)
-    is_tied = place is not None or variable.index == SYNC_OVERFLOW
+    is_tied = place_of(variable.index) is not None or variable.index == SYNC_OVERFLOW
     if not (is_tied and refusal in (*NOT_NOW, AbortCode.INVALID_VALUE)):
-        raise ViolationError(f"writing its own value to {variable.label} was refused with 0x{refusal:08X}")
+        expect_taken(refusal, f"writing its own value to {variable.label}")
 
 
 def write_device_type(bench: Bench) -> Procedure[None]:
@@ -166,9 +157,7 @@ def write_device_type(bench: Bench) -> Procedure[None]:
 
 def read_write_only(bench: Bench) -> Procedure[None]:
     """2.4 and 4.4: a write-only object cannot be read."""
-    found = [variable for variable in bench.dictionary if not variable.access.readable]
-    if not found:
-        does_not_apply("no object is write-only")
+    found = some([variable for variable in bench.dictionary if not variable.access.readable], "no object is write-only")
 
     def look(variable: Variable) -> Procedure[None]:
         code = yield from bench.refusal_of_read(variable.index, variable.subindex)
@@ -197,9 +186,7 @@ def wrong_command_specifier(bench: Bench) -> Procedure[None]:
 
 def _setting_of(bench: Bench, *types: DataType) -> Variable:
     found = [variable for variable in settings(bench) if variable.data_type in types]
-    if not found:
-        does_not_apply("no object of the communication area that can be written has the type")
-    return found[0]
+    return some(found, "no object of the communication area that can be written has the type")[0]
 
 
 def write_too_long(bench: Bench) -> Procedure[None]:
@@ -283,20 +270,11 @@ def read_device_type_segmented(bench: Bench) -> Procedure[str]:
     return how
 
 
-def _write_segmented(bench: Bench, index: int) -> Procedure[None]:
+def write_time(index: int, bench: Bench) -> Procedure[None]:
+    """2.14, 2.15: two bytes in one segment."""
     written = bench.encode(index, 0, ANY_TIME)
     yield from segmented_download(bench, index, 0, written)
     expect_equal((yield from bench.read(index)), written, f"0x{index:04X}:00, read back,")
-
-
-def write_guard_time_segmented(bench: Bench) -> Procedure[None]:
-    """2.14: two bytes in one segment."""
-    yield from _write_segmented(bench, GUARD_TIME)
-
-
-def write_heartbeat_segmented(bench: Bench) -> Procedure[None]:
-    """2.15: two bytes in one segment."""
-    yield from _write_segmented(bench, HEARTBEAT)
 
 
 def read_segmented(bench: Bench) -> Procedure[str]:
@@ -350,8 +328,8 @@ CASES: Final = (
     Case("2.11", "SDO 11", "Try to write too low a value", write_too_low),
     Case("2.12", "SDO 12", "Compare 0x1200:01 and 0x1200:02 with the predefined values", default_channel, (SDO_SERVER,)),
     Case("2.13", "SDO 13", "Read 0x1000:00 with a segmented transfer", read_device_type_segmented, (DEVICE_TYPE,)),
-    Case("2.14", "SDO 14", "Write 0x100C:00 segmented, if guarding is supported", write_guard_time_segmented, (GUARD_TIME,)),
-    Case("2.15", "SDO 15", "Write 0x1017:00 segmented, if heartbeat is supported", write_heartbeat_segmented, (HEARTBEAT,)),
+    Case("2.14", "SDO 14", "Write 0x100C:00 segmented, if guarding is supported", partial(write_time, GUARD_TIME), (GUARD_TIME,)),
+    Case("2.15", "SDO 15", "Write 0x1017:00 segmented, if heartbeat is supported", partial(write_time, HEARTBEAT), (HEARTBEAT,)),
     Case("2.16", "SDO 16", "Check the segmented read of an object of more than 4 bytes", read_segmented),
     Case("2.17", "SDO 17", "Read an object segmented with a wrong toggle bit", wrong_toggle),
     Case("2.18", "SDO 18", "Read an object segmented", read_segmented_content),

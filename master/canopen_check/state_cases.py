@@ -21,7 +21,7 @@ from canopen_check.dictionary_cases import (
     expect_put_back,
     with_default,
 )
-from canopen_check.pdo_cases import EVENT_TIME, PROFILE_EVENTS
+from canopen_check.pdo_cases import EVENT_TIME, LEADS_TO, PROFILE_EVENTS
 from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
 from canopen_check.raw_sdo import initiate
 from canopen_proto.dictionary import Direction
@@ -35,11 +35,6 @@ from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
 from canopen_proto.verdict import NotApplicable, expect, expect_equal
 
-_LEADS_TO: Final = {
-    NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
-    NmtState.OPERATIONAL: NmtCommand.START,
-    NmtState.STOPPED: NmtCommand.STOP,
-}
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 
 
@@ -122,7 +117,7 @@ def expect_booted(bench: Bench, when: str) -> Procedure[None]:
 def expect_other_nodes_business(bench: Bench, state: NmtState) -> Procedure[None]:
     """Check that commands for another node, and a command that does not exist, change nothing."""
     other = bench.node_id % MAX_NODE_ID + 1
-    for command in (*_LEADS_TO.values(), *_RESETS):
+    for command in (*LEADS_TO.values(), *_RESETS):
         yield from bench.send(NMT, bytes((command, other)))
     yield from bench.send(NMT, bytes((0x03, bench.node_id)))
     yield from bench.sleep(REACTION_TIME)
@@ -183,7 +178,7 @@ def stopped(bench: Bench) -> Procedure[None]:
 def resets(bench: Bench) -> Procedure[None]:
     """10.1: reset node and reset communication, from each state, to this node and to all."""
     for command in _RESETS:
-        for state, way in _LEADS_TO.items():
+        for state, way in LEADS_TO.items():
             for target in (bench.node_id, ALL_NODES):
                 yield from bench.supervise()
                 yield from bench.command(way)
@@ -196,9 +191,9 @@ def resets(bench: Bench) -> Procedure[None]:
 
 def transition(target: NmtState, bench: Bench) -> Procedure[None]:
     """10.2 to 10.4: the command for `target` leads there from each state, whether it is sent to this node or to all."""
-    command = _LEADS_TO[target]
+    command = LEADS_TO[target]
     yield from bench.supervise()
-    for state, way in _LEADS_TO.items():
+    for state, way in LEADS_TO.items():
         for addressed in (bench.node_id, ALL_NODES):
             yield from bench.command(way)
             yield from bench.expect_state(state, f"after {way.name}")

@@ -13,24 +13,20 @@ from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Body, Case, for_each
-from canopen_check.expectations import expect_refusal
-from canopen_check.sdo_cases import ANY_TIME, settings, takes_any_time
-from canopen_proto import indices
+from canopen_check.expectations import expect_refusal, expect_taken, some
+from canopen_check.sdo_cases import ANY_TIME, NO_TRIAL, settings, takes_any_time
 from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Variable
-from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID
-from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COB_ID_TIME_STAMP
+from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COB_ID_TIME_STAMP, VERIFY_CONFIGURATION
 from canopen_proto.machine import SECOND
 from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STORE
 from canopen_proto.pdo.settings import COB_ID, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
-from canopen_proto.verdict import ViolationError, does_not_apply, expect_equal
-
-VERIFY: Final = indices.VERIFY_CONFIGURATION
+from canopen_proto.verdict import does_not_apply, expect_equal
 
 ALL: Final = 1
 COMMUNICATION: Final = 2
@@ -72,8 +68,7 @@ def save(bench: Bench, subindex: int = ALL) -> Procedure[None]:
     """Make the device store parameters; the case does not apply if it does not do so on command."""
     yield from _check_able(bench, STORE, subindex)
     refusal = yield from _sign(bench, STORE, subindex, SIGNATURES[STORE])
-    if refusal is not None:
-        raise ViolationError(f"saving by 0x1010:{subindex:02X} was refused with 0x{refusal:08X}")
+    expect_taken(refusal, f"saving by 0x1010:{subindex:02X}")
 
 
 def wrong_signature(index: int, subindex: int, bench: Bench) -> Procedure[None]:
@@ -86,9 +81,7 @@ def wrong_signature(index: int, subindex: int, bench: Bench) -> Procedure[None]:
 def _setting(bench: Bench, *, known: bool = False) -> Variable:
     """Return a communication object for the trial. known: its default must be in the dictionary."""
     found = [each for each in settings(bench) if takes_any_time(each) and not (known and bench.restored_content_of(each) is None)]
-    if not found:
-        does_not_apply("no communication object can be changed for a trial")
-    return found[0]
+    return some(found, NO_TRIAL)[0]
 
 
 def store(subindex: int, bench: Bench) -> Procedure[str]:
@@ -113,8 +106,7 @@ def restore(subindex: int, bench: Bench) -> Procedure[str]:
     yield from bench.write(*place, ANY_TIME)
     yield from save(bench, subindex)
     refusal = yield from _sign(bench, RESTORE, subindex, SIGNATURES[RESTORE])
-    if refusal is not None:
-        raise ViolationError(f"loading by 0x1011:{subindex:02X} was refused with 0x{refusal:08X}")
+    expect_taken(refusal, f"loading by 0x1011:{subindex:02X}")
     yield from bench.reset()
     seen = yield from bench.read(*place)
     expect_equal(seen, bench.restored_content_of(variable), f"restored by 0x1011:{subindex:02X}, {variable.label}")
@@ -133,9 +125,9 @@ def keep(bench: Bench, changes: Sequence[tuple[int, int, int]]) -> Procedure[Non
 
 def verify_configuration(bench: Bench) -> Procedure[None]:
     """8.9: configuration date and time are kept: they show a master that it has configured the device already. 7.5.2.23"""
-    date, time = (yield from bench.number(VERIFY, 1)), (yield from bench.number(VERIFY, 2))
-    yield from keep(bench, [(VERIFY, 1, 14_000), (VERIFY, 2, 43_200_000)])
-    yield from keep(bench, [(VERIFY, 1, date), (VERIFY, 2, time)])
+    date, time = (yield from bench.number(VERIFY_CONFIGURATION, 1)), (yield from bench.number(VERIFY_CONFIGURATION, 2))
+    yield from keep(bench, [(VERIFY_CONFIGURATION, 1, 14_000), (VERIFY_CONFIGURATION, 2, 43_200_000)])
+    yield from keep(bench, [(VERIFY_CONFIGURATION, 1, date), (VERIFY_CONFIGURATION, 2, time)])
 
 
 def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
@@ -152,9 +144,7 @@ def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
                 found.append((variable, default & 0x3FFF_FFFF, flags & 0x3FFF_FFFF))
             elif variable.index == COB_ID_EMERGENCY or is_pdo or is_channel:
                 found.append((variable, default | COB_ID_INVALID, flags & ~COB_ID_INVALID))
-    if not found:
-        does_not_apply("no COB-ID can be written")
-    return found
+    return some(found, "no COB-ID can be written")
 
 
 def restricted_can_ids(bench: Bench) -> Procedure[str]:
@@ -173,8 +163,7 @@ def restricted_can_ids(bench: Bench) -> Procedure[str]:
         yield from for_each(bench, [can_id for each in RESTRICTED_CAN_IDS for can_id in (each[0], each[-1])], attempt)
         expect_equal((yield from bench.number(*place)), inactive, f"{variable.label}, after refused writes,")
 
-    count = yield from for_each(bench, _cob_ids(bench), look)
-    return counted(count, "object")
+    return (yield from for_each(bench, _cob_ids(bench), look))
 
 
 _RESTORING: Final = (RESTORE, STORE)
@@ -193,6 +182,6 @@ CASES: Final = (
     _case(6, "Write save to 0x1010:02", partial(store, COMMUNICATION), (STORE,)),
     _case(7, "Write a wrong signature to 0x1011:02", partial(wrong_signature, RESTORE, COMMUNICATION), (RESTORE,)),
     _case(8, "Write load to 0x1011:02", partial(restore, COMMUNICATION), _RESTORING),
-    _case(9, "Save the configuration date and time of 0x1020", verify_configuration, (STORE, VERIFY)),
+    _case(9, "Save the configuration date and time of 0x1020", verify_configuration, (STORE, VERIFY_CONFIGURATION)),
     Case("8.10", "Testing other 10", "Try to use restricted CAN-IDs", restricted_can_ids),
 )

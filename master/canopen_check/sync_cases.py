@@ -14,22 +14,18 @@ from canopen_check.case import Case, for_each
 from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_cases import expect_data
 from canopen_check.pdo_tools import Pdo, key_of, set_up, usable
-from canopen_check.sdo_cases import TOO_HIGH, TOO_LOW
+from canopen_check.sdo_cases import SYNC_OVERFLOW, TOO_HIGH, TOO_LOW
 from canopen_check.storing_cases import keep, save
-from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction
 from canopen_proto.explained import counted
 from canopen_proto.frame import SYNC, key_of_cob_id
+from canopen_proto.indices import COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.verdict import does_not_apply, expect, expect_equal
-
-COB_ID_SYNC: Final = indices.COB_ID_SYNC
-CYCLE_PERIOD: Final = indices.COMMUNICATION_CYCLE_PERIOD
-OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
 PERIOD: Final = 100 * MILLISECOND
 COUNTED: Final = 10 * SECOND
@@ -54,8 +50,8 @@ def produce(bench: Bench, overflow: int | None = None) -> Procedure[None]:
     yield from bench.silence_sync()
     bench.probe.listen_also(bench.sync_key)
     if overflow is not None:
-        yield from bench.write(OVERFLOW, 0, overflow)
-    yield from bench.write(CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
+        yield from bench.write(SYNC_OVERFLOW, 0, overflow)
+    yield from bench.write(COMMUNICATION_CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
     if (yield from bench.refusal_of_write(COB_ID_SYNC, 0, bench.default(COB_ID_SYNC) | PRODUCER)) is not None:
         does_not_apply("the device cannot produce SYNC")
 
@@ -87,17 +83,16 @@ def count_tpdos(bench: Bench) -> Procedure[str]:
         expect_data(bench, pdo, heard)
         expect_equal(len(heard), SYNCS // EACH_TENTH, f"the number of {pdo} of type {EACH_TENTH} after {SYNCS} SYNCs")
 
-    yield from for_each(bench, pdos, look)
-    return counted(len(pdos), "TPDO")
+    return (yield from for_each(bench, pdos, look, "TPDO"))
 
 
 def stop_producing(bench: Bench) -> Procedure[None]:
     """6.4: a period of 0 stops the SYNC; so does making the device a consumer (0x1005, bit 30)."""
     yield from produce(bench)
-    yield from bench.write(CYCLE_PERIOD, 0, 0)
+    yield from bench.write(COMMUNICATION_CYCLE_PERIOD, 0, 0)
     yield from bench.expect_silence(bench.sync_key, 1 * SECOND, "the period in 0x1006 is 0, and a SYNC")
     yield from bench.write(COB_ID_SYNC, 0, bench.default(COB_ID_SYNC) & ~PRODUCER)
-    yield from bench.write(CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
+    yield from bench.write(COMMUNICATION_CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
     yield from bench.expect_silence(bench.sync_key, 1 * SECOND, "0x1005 says that the device is a consumer, and a SYNC")
 
 
@@ -105,9 +100,9 @@ def invalid_overflow(bench: Bench) -> Procedure[None]:
     """6.5: the reserved counter overflow values 1 and 241 to 255 are refused."""
 
     def look(value: int) -> Procedure[None]:
-        refusal = yield from bench.refusal_of_write(OVERFLOW, 0, value)
+        refusal = yield from bench.refusal_of_write(SYNC_OVERFLOW, 0, value)
         expect_refusal(refusal, RESERVED_VALUE, f"writing {value} to 0x1019:00")
-        yield from bench.expect_number(OVERFLOW, 0, bench.default(OVERFLOW), f"after the refusal of {value}")
+        yield from bench.expect_number(SYNC_OVERFLOW, 0, bench.default(SYNC_OVERFLOW), f"after the refusal of {value}")
 
     yield from bench.silence_sync()
     yield from for_each(bench, (1, 241, 255), look)
@@ -139,8 +134,8 @@ def counter(bench: Bench) -> Procedure[None]:
 def overflow_while_running(bench: Bench) -> Procedure[None]:
     """6.9: the counter overflow value cannot be changed while the period is not 0."""
     yield from bench.silence_sync()
-    yield from bench.write(CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
-    refusal = yield from bench.refusal_of_write(OVERFLOW, 0, 5)
+    yield from bench.write(COMMUNICATION_CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
+    refusal = yield from bench.refusal_of_write(SYNC_OVERFLOW, 0, 5)
     expect_refusal(refusal, NOT_WHILE_RUNNING, "writing 0x1019:00 while 0x1006 is not 0")
 
 
@@ -149,7 +144,7 @@ def kept_counter(bench: Bench) -> Procedure[None]:
     yield from produce(bench)  # ends the case if it cannot: nothing is stored yet
     yield from bench.reset()
     yield from bench.silence_sync()
-    yield from keep(bench, [(OVERFLOW, 0, 5)])
+    yield from keep(bench, [(SYNC_OVERFLOW, 0, 5)])
     yield from produce(bench)
     yield from expect_counter(bench, 5)
     yield from bench.reset()
@@ -159,8 +154,9 @@ def kept_counter(bench: Bench) -> Procedure[None]:
 def put_back(bench: Bench) -> Procedure[None]:
     """Write the values of the dictionary back, and save them. The period is 0 meanwhile: the other two objects may change only
     then."""
-    for index, value in ((CYCLE_PERIOD, 0), *((index, bench.default(index)) for index in (OVERFLOW, COB_ID_SYNC, CYCLE_PERIOD))):
-        yield from bench.write(index, 0, value)
+    yield from bench.write(COMMUNICATION_CYCLE_PERIOD, 0, 0)
+    for index in (SYNC_OVERFLOW, COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD):
+        yield from bench.write(index, 0, bench.default(index))
     yield from save(bench)
 
 
@@ -168,8 +164,8 @@ def kept_producer(bench: Bench) -> Procedure[None]:
     """6.10: a SYNC producer whose settings were saved sends SYNC by itself after a reset."""
     yield from produce(bench, 5)
     cob_id = bench.default(COB_ID_SYNC) | PRODUCER
-    yield from keep(bench, [(COB_ID_SYNC, 0, cob_id), (CYCLE_PERIOD, 0, PERIOD // MICROSECOND)])
-    yield from bench.expect_number(OVERFLOW, 0, 5, "saved, after a reset")
+    yield from keep(bench, [(COB_ID_SYNC, 0, cob_id), (COMMUNICATION_CYCLE_PERIOD, 0, PERIOD // MICROSECOND)])
+    yield from bench.expect_number(SYNC_OVERFLOW, 0, 5, "saved, after a reset")
     heard = yield from bench.frames_within(bench.sync_key, 1 * SECOND)
     expect(len(heard) >= 5, f"{counted(len(heard), 'SYNC')} came in 1 s, with a period of 0.1 s that was saved")
     expect(all(len(each.frame.data) == 1 for each in heard), "the SYNCs have no counter, though one was saved")
@@ -177,8 +173,8 @@ def kept_producer(bench: Bench) -> Procedure[None]:
     yield from put_back(bench)
 
 
-_PRODUCER_NEEDS: Final = (COB_ID_SYNC, CYCLE_PERIOD)
-_COUNTER_NEEDS: Final = (*_PRODUCER_NEEDS, OVERFLOW)
+_PRODUCER_NEEDS: Final = (COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD)
+_COUNTER_NEEDS: Final = (*_PRODUCER_NEEDS, SYNC_OVERFLOW)
 _STORED_NEEDS: Final = (*_COUNTER_NEEDS, STORE)
 
 CASES: Final = (
@@ -186,7 +182,9 @@ CASES: Final = (
     Case("6.2", "Synchronization 02", "Count SYNC messages", count_syncs, _PRODUCER_NEEDS),
     Case("6.3", "Synchronization 03", "Count the TPDOs that SYNC sets off", count_tpdos, (COB_ID_SYNC,)),
     Case("6.4", "Synchronization 04", "Be a SYNC consumer, with 0x1006 set to 0", stop_producing, _PRODUCER_NEEDS),
-    Case("6.5", "Synchronization 05", "Set the SYNC counter overflow value to invalid values", invalid_overflow, (OVERFLOW,)),
+    Case(
+        "6.5", "Synchronization 05", "Set the SYNC counter overflow value to invalid values", invalid_overflow, (SYNC_OVERFLOW,)
+    ),
     Case("6.6", "Synchronization 06", "Set the SYNC counter overflow value to 0", no_counter, _COUNTER_NEEDS),
     Case("6.7", "Synchronization 07", "Check the SYNC counter", counter, _COUNTER_NEEDS),
     Case(

@@ -12,7 +12,7 @@ import click
 
 from canopen_cli.shared.importing import LibraryMissingError, importing
 from canopen_cli.shared.lazy import LazyGroup
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, common_options
 from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
 from canopen_cli.shared.streams import (
     open_closed_streams,
@@ -94,8 +94,8 @@ COMMANDS: Final = {
 
 @click.group(cls=LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="canopen-proto", prog_name="canopen")
-@common
-def cli(settings: Settings) -> None:
+@common_options
+def cli() -> None:
     """CANopen from the command line. Without hardware, begin with `canopen demo`; every command takes `-b demo`.
 
     Exit status: 0 ok, 1 findings or differences, 2 usage, 3 cannot open the bus, 4 bus fault, 5 no answer, 6 bad input file,

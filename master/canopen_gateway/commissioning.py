@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import base64
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeVar
 
 import trio
 
 from canopen_gateway.errors import LeaseError
+from canopen_gateway.places import number_said
 from canopen_gateway.service import GatewayService
 from canopen_gateway.traffic.trace import plain_name
 from canopen_master import Master, Node
@@ -91,9 +91,9 @@ class ClientConversation:
             answer = await self._ask(kind="number", text=question, default=default, unit=unit)
             if answer is None:
                 return default
-            is_number = isinstance(answer, int | float) and not isinstance(answer, bool) and abs(answer) <= _GREATEST
-            if is_number and math.isfinite(answer) and (answer > 0 or not above_zero):
-                return float(answer)
+            number = number_said(answer)
+            if number is not None and (number > 0 or not above_zero):
+                return number
             self.warn(f"{str(answer)[:20]!r} is no number{' above 0' * above_zero}")
 
     async def choice(self, question: str, choices: Sequence[str], default: str) -> str:
@@ -144,9 +144,6 @@ def paced(procedure: Procedure[T]) -> Procedure[T]:
     except StopIteration as end:
         value: T = end.value
     return value
-
-
-_GREATEST: Final = 1e300
 
 
 def check_commissioning(service: GatewayService, node: Node) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import ClassVar, Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.explained import Explained
@@ -41,13 +41,20 @@ BRIDGE_REFUSED: Final = "CO161"
 class GatewayError(Explained, Exception):
     """A gateway cannot do what it was asked for. For the fields see Explained."""
 
+    CODE: ClassVar[str]
+    """The code of all errors of this class."""
+
+    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(self.CODE, failed, seen=seen, cause=cause, tries=tries)
+
 
 class NotAllowedError(GatewayError, PermissionError):
     """The gateway was not started with the permission for this; nothing was sent. permission: its name."""
 
+    CODE = NOT_ALLOWED
+
     def __init__(self, permission: str, what: str) -> None:
         super().__init__(
-            NOT_ALLOWED,
             f"{what} is not allowed here",
             seen=f"this gateway was started without --allow {permission}",
             tries=(f"start it with --allow {permission}, if that is meant",),
@@ -58,30 +65,32 @@ class NotAllowedError(GatewayError, PermissionError):
 class GatewayFullError(GatewayError):
     """The gateway takes no more of this. For the fields see Explained."""
 
+    CODE = GATEWAY_FULL
+
     def __init__(self, what: str, most: int) -> None:
-        super().__init__(GATEWAY_FULL, f"this gateway takes no more {what}", seen=f"it has {most}", tries=("end some, or wait",))
+        super().__init__(f"this gateway takes no more {what}", seen=f"it has {most}", tries=("end some, or wait",))
 
 
 class PdoTakenError(GatewayError):
     """Another client of the gateway has set up a PDO with this number. For the fields see Explained."""
 
+    CODE = GATEWAY_FULL
+
     def __init__(self, number: int) -> None:
-        super().__init__(GATEWAY_FULL, f"PDO {number} is another client's", tries=("another number",))
+        super().__init__(f"PDO {number} is another client's", tries=("another number",))
 
 
 class LeaseError(GatewayError):
     """The machine is not moved: somebody else has the lease, it is over, or the request is an old one. Or a drive with power
     would lose its commands. For the fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(LEASE_TAKEN, failed, seen=seen, tries=tries)
+    CODE = LEASE_TAKEN
 
 
 class NoGatewayError(GatewayError, ConnectionError):
     """There is no text gateway at this address, or the connection to it has ended. For the fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(NO_GATEWAY, failed, seen=seen, cause=cause, tries=tries)
+    CODE = NO_GATEWAY
 
 
 class GatewayRefusedError(GatewayError):
@@ -90,6 +99,8 @@ class GatewayRefusedError(GatewayError):
     gateway_code: its own (`canopen_proto.gateway.GatewayCode`), 0 if a node refused. abort_code: the node's, or None. node_id: of
     the node, 0 if it is about none. index, subindex: of the object; None if it is about none. For the other fields see Explained.
     """
+
+    CODE = GATEWAY_REFUSED
 
     def __init__(
         self,
@@ -104,7 +115,7 @@ class GatewayRefusedError(GatewayError):
         cause: str = "",
         tries: Iterable[str] = (),
     ) -> None:
-        super().__init__(GATEWAY_REFUSED, failed, seen=seen, cause=cause, tries=tries)
+        super().__init__(failed, seen=seen, cause=cause, tries=tries)
         self.gateway_code = gateway_code
         self.abort_code = abort_code
         self.node_id = node_id
@@ -120,9 +131,10 @@ class GatewayRefusedError(GatewayError):
 class NotOverTextError(GatewayError):
     """A command needs frames, and this is a text gateway. For the fields see Explained."""
 
+    CODE = NOT_OVER_TEXT
+
     def __init__(self, locator: str, works: str) -> None:
         super().__init__(
-            NOT_OVER_TEXT,
             f"{locator} is a text gateway, which carries no frames",
             cause="this command needs a bus: it listens, or sends frames of its own",
             tries=(f"what works over it: {works}", "the bus itself, on the computer that has it"),
@@ -132,24 +144,21 @@ class NotOverTextError(GatewayError):
 class NoSuchPlaceError(GatewayError, LookupError):
     """A request names a net, a node or an object that is not there; nothing was sent. For the fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "") -> None:
-        super().__init__(NO_SUCH_PLACE, failed, seen=seen)
+    CODE = NO_SUCH_PLACE
 
 
 class DoorError(GatewayError):
     """A door cannot be opened: its address is in use, or reachable from other computers without a word about it. For the fields
     see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(DOOR_REFUSED, failed, seen=seen, cause=cause, tries=tries)
+    CODE = DOOR_REFUSED
 
 
 class FleetError(GatewayError, ConnectionError):
     """Nobody answers for a place in a fleet, or the fleet cannot be joined; nothing is known of what became of a request. For the
     fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(NO_BRIDGE, failed, seen=seen, cause=cause, tries=tries)
+    CODE = NO_BRIDGE
 
 
 class BridgeRefusedError(GatewayError):
@@ -159,10 +168,12 @@ class BridgeRefusedError(GatewayError):
     the other fields see Explained.
     """
 
+    CODE = BRIDGE_REFUSED
+
     def __init__(
         self, failed: str, *, bridge_code: str = "", seen: str = "", abort_code: int | None = None, not_confirmed: bool = False
     ) -> None:
-        super().__init__(BRIDGE_REFUSED, failed, seen=seen)
+        super().__init__(failed, seen=seen)
         self.bridge_code = bridge_code
         self.abort_code = abort_code
         self.not_confirmed = not_confirmed
@@ -177,9 +188,10 @@ class NotOverFleetError(GatewayError):
     """What was asked for needs the computer that has the bus, and this is a page over a fleet; nothing was sent. For the fields
     see Explained."""
 
+    CODE = NOT_OVER_FLEET
+
     def __init__(self, what: str) -> None:
         super().__init__(
-            NOT_OVER_FLEET,
             f"{what}: not over a fleet",
             seen="this page shows the machines of many computers",
             cause="it needs the computer that has the bus",
@@ -191,19 +203,29 @@ class HistoryError(GatewayError, ValueError):
     """A history of a fleet cannot be written, or not be read: it is not there, or a file in it is half, or none of it. For the
     fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(NO_HISTORY, failed, seen=seen, cause=cause, tries=tries)
+    CODE = NO_HISTORY
 
 
 class HistoryQueryError(GatewayError, ValueError):
     """A query of a history is wrong, or reaches for something else. For the fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(WRONG_QUERY, failed, seen=seen, cause=cause, tries=tries)
+    CODE = WRONG_QUERY
 
 
 class QueryRefusedError(GatewayError, ValueError):
     """A bridge of a fleet was asked for what it cannot do; nothing was done. For the fields see Explained."""
 
-    def __init__(self, failed: str) -> None:
-        super().__init__(BRIDGE_REFUSED, failed)
+    CODE = BRIDGE_REFUSED
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text; without a text, the name of its class."""
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+
+
+def first_of(error: BaseException) -> Exception:
+    """Return the error that nurseries have put into groups: the first one, if there are several."""
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, Exception)
+    return error

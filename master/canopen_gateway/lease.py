@@ -36,7 +36,7 @@ from typing import Final, Protocol
 
 import trio
 
-from canopen_gateway.errors import LeaseError
+from canopen_gateway.errors import LeaseError, first_line
 from canopen_gateway.guard import Guard, Permission
 from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError, SdoTimeoutError
 from canopen_proto.drives import halt
@@ -234,7 +234,7 @@ class Lease:
             try:
                 self._jog.velocity(self._wanted)
             except MasterError as error:
-                raise LeaseError(f"chain {chain} does not jog", seen=_first_line(error)) from error
+                raise LeaseError(f"chain {chain} does not jog", seen=first_line(error)) from error
 
     def stop(self, session: LeaseHolder, sequence: int) -> None:
         """End the motion under way: the joints brake, and stay enabled. Raises LeaseError."""
@@ -342,7 +342,7 @@ class Lease:
             with scope:
                 await motion()
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told, and ends this motion alone
-            problem = _first_line(error)
+            problem = first_line(error)
             self.problem = self._with_unconfirmed(problem)
             LOGGER.warning("%s ended: %s", self.doing, problem)
         finally:
@@ -422,7 +422,7 @@ class Lease:
         except trio.TooSlowError:
             problems.append((what, f"it did not confirm within {HALT_TIME:g} s that it stands"))
         except (MasterError, ProcedureError, LocalProtocolError) as error:
-            problems.append((what, _first_line(error)))
+            problems.append((what, first_line(error)))
 
     def _halt_of(self, node: Node, axis: int) -> Callable[[], Awaitable[object]]:
         return lambda: self._master.run(halt(self._master.device(node, axis=axis).axis))
@@ -507,7 +507,3 @@ def _names_of(chain: Chain) -> list[str]:
 
 def _told(problems: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{what}: {why}" for what, why in problems]
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import errno
-import ipaddress
 import socket
 from typing import Final
 
 import trio
 
 from canopen_gateway.errors import DoorError
+from canopen_transports.tcp.address import address_text
 
 SEND_BUFFER: Final = 1 << 16
 """Bytes that the system keeps for a client that takes nothing."""
@@ -33,15 +33,6 @@ async def open_listeners(host: str, port: int) -> list[trio.SocketListener]:
     return listeners
 
 
-def is_loopback(host: str) -> bool:
-    """Return whether only this computer reaches an address."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 def address_of(listener: trio.SocketListener) -> str:
     """Return where a listener listens, as people type it."""
-    host, port = listener.socket.getsockname()[:2]
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    return address_text(*listener.socket.getsockname()[:2])

@@ -1,10 +1,11 @@
-"""NMT commands, as clients name them."""
+"""NMT commands, as clients name them, and as text gateways do."""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
 from canopen_proto import NmtCommand
+from canopen_proto.gateway import GatewayCommand
 
 NMT_COMMANDS: Final = {
     "start": NmtCommand.START,
@@ -13,6 +14,14 @@ NMT_COMMANDS: Final = {
     "reset-node": NmtCommand.RESET_NODE,
     "reset-communication": NmtCommand.RESET_COMMUNICATION,
 }
+NMT_OF: Final = {
+    GatewayCommand.START: NmtCommand.START,
+    GatewayCommand.STOP: NmtCommand.STOP,
+    GatewayCommand.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
+    GatewayCommand.RESET_NODE: NmtCommand.RESET_NODE,
+    GatewayCommand.RESET_COMMUNICATION: NmtCommand.RESET_COMMUNICATION,
+}
+"""By the command of a text gateway."""
 
 
 def nmt_command(word: Any) -> NmtCommand:

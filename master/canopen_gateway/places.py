@@ -1,4 +1,4 @@
-"""How requests name a net, a node, an axis and an object, in a path or a message."""
+"""How requests name a net, a node, an axis and an object, in a path or a message, and give a value."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any, Final
 
 from canopen_gateway.errors import NoSuchPlaceError
 from canopen_gateway.service import GatewayService
+from canopen_master import Node
+from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, ObjectNotFoundError
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.cia402.axes import MAX_AXES
@@ -66,7 +68,25 @@ def check_object(dictionaries: Sequence[ObjectDictionary], text: str) -> None:
     raise ObjectNotFoundError(f"object {text!r} is in no dictionary at hand{did_you_mean(text, names)}")
 
 
+def number_said(value: object) -> float | None:
+    """Return a number of a message; None for what is none: another kind of value, NaN, or one too great to reckon with."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300:
+        return float(value)
+    return None
+
+
 def number_of_object(text: str) -> tuple[int, int] | None:
     """Return the index and subindex of an object that is named by its number, as "6041:00"; None for a name."""
     number = _PLACE.fullmatch(text)
     return None if number is None else (int(number[1], 16), int(number[2] or "0", 16))
+
+
+def bytes_of(node: Node, index: int, subindex: int, value: Value | None) -> bytes:
+    """Return the bytes of a value. value: a number, a text, a constant by its name; bytes in hexadecimal for an object that holds
+    bytes. Raises ValueError, LocalProtocolError: nothing was sent."""
+    variable = node.dictionary.at(index, subindex)
+    if not isinstance(value, int | float | str) or (isinstance(value, bool) and not isinstance(variable.codec.zero, bool)):
+        raise ValueError(f"{variable.label}: the value has to be a number or a text")
+    if isinstance(value, str) and isinstance(variable.codec.zero, bytes):
+        value = bytes.fromhex(value)
+    return node.remote.encode(variable, value)[2]

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from typing import Any, Final, TypeAlias
 
+from canopen_gateway.errors import first_line
 from canopen_gateway.service import GatewayService, HeardOnNet
+from canopen_gateway.values import decoded
 from canopen_master import Chain, Device, Master, MasterError
 from canopen_proto import LocalProtocolError, NodeGuardingLost
 from canopen_proto.abort import text_of
@@ -171,10 +173,7 @@ def value_data(dictionary: ObjectDictionary, index: int, subindex: int, data: by
     plain: Plain = {"path": place_text(index, subindex), "size": len(data), "hex": data[:MAX_BYTES_SHOWN].hex(" ")}
     if variable is None:
         return {**plain, "name": "", "type": "", "value": None, "unit": "", "constants": []}
-    try:
-        value: Value = variable.decode(data)
-    except ValueError:  # another length than its type has
-        value = data
+    value = decoded(dictionary, index, subindex, data)
     shown = {"value": plain_value(value), "constants": list(dictionary.names_of(variable, value))}
     return {**plain, **object_data(dictionary, variable), **shown}
 
@@ -218,11 +217,6 @@ def error_data(error: Exception) -> Plain:
     else:
         plain = {"code": "", "text": first_line(error), "details": []}
     return plain if abort is None else {**plain, "abort": f"0x{abort:08X}", "abort_text": text_of(abort)}
-
-
-def first_line(error: BaseException) -> str:
-    """Return the first line of an error's text."""
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 EXPECTED: Final = (MasterError, LocalProtocolError, ValueError, KeyError)

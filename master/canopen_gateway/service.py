@@ -36,7 +36,8 @@ from canopen_gateway.values import ValueStream, WatchedObject
 from canopen_master import ChainState, Master, Node
 from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.pdo_reading import read_pdos
-from canopen_proto import LocalProtocolError, NmtCommand, NodeGuardingLost, OwnHeartbeat
+from canopen_master.plain_text import clean
+from canopen_proto import LocalProtocolError, NmtCommand, NodeGuardingLost, OwnHeartbeat, indices
 from canopen_proto.drives.axis.axis_node import node_of_axis
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.frame import ALL_NODE_IDS
@@ -51,6 +52,8 @@ LOG_LENGTH: Final = 100
 """Events that a service remembers, for those who look later."""
 EVENTS_WAITING: Final = 256
 """Events that wait for one client; further ones are dropped, and counted."""
+HEARTBEAT_TIME: Final = 2_500_000_000
+"""ns without a heartbeat until a viewer is told that it is lost: the usual period is 1 s, and two of them may be late."""
 
 SEARCH_LISTENS: Final = 100 * MILLISECOND
 """ns for which a search for nodes listens before it asks."""
@@ -263,6 +266,7 @@ class GatewaySession:
         self._ears: dict[str, NodeEar] = {}
         self._ports: dict[tuple[str, bool, int], PdoPort] = {}
         self._guarded: set[tuple[str, int]] = set()
+        self._beating: set[tuple[str, int]] = set()
         self._put, self._events = trio.open_memory_channel[HeardOnNet](EVENTS_WAITING)
         self._watchers = [
             service.master.watch((NodeReport, PdoReport, NodeGuardingLost), partial(self._hear, net), service.master.bus(net))
@@ -295,6 +299,10 @@ class GatewaySession:
         async with self.service.turn(net, node_id) as node:
             patience = None if self.service.is_moved(node) else timeout
             return await node.read_bytes(index, subindex, block=block, patience=patience)
+
+    async def read_name(self, net: str, node_id: int) -> str:
+        """Read the name that a device has of its maker (0x1008). Raises as `read`."""
+        return clean((await self.read(net, node_id, indices.MANUFACTURER_DEVICE_NAME, 0)).decode("latin-1"))
 
     async def write(
         self,
@@ -401,6 +409,16 @@ class GatewaySession:
             self.service.pump()
         elif net in self._ears:
             self._ears[net].forget(node_id)
+
+    def watch_heard(self) -> None:
+        """Watch each node that was heard with a heartbeat, and that this has not begun to watch before: it is lost after
+        HEARTBEAT_TIME. See `watch_heartbeat`."""
+        for net in self.service.nets:
+            network = self.service.master.bus(net).network
+            for node_id in network.heard_nodes():
+                if (net, node_id) not in self._beating and network.heard(node_id).state_time is not None:
+                    self._beating.add((net, node_id))
+                    self.watch_heartbeat(net, node_id, HEARTBEAT_TIME)
 
     async def next_event(self) -> HeardOnNet:
         """Wait for the next event that this client has asked for. Raises trio.EndOfChannel once it is closed."""

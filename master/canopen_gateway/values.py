@@ -16,6 +16,7 @@ import trio
 from canopen_gateway.errors import GatewayError
 from canopen_master import MasterError, Node
 from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND
 from canopen_proto.multiplexer import mux
 
@@ -89,9 +90,14 @@ class ValueStream:
             data = await self._read(place)
         except (MasterError, GatewayError) as error:
             return ValueSeen(place, None, str(error).splitlines()[0], trio.current_time())
-        variable = node.dictionary.get(place.index, place.subindex)
-        try:
-            value: Value = data if variable is None else variable.decode(data)
-        except ValueError:  # another length than its type has
-            value = data
+        value = decoded(node.dictionary, place.index, place.subindex, data)
         return ValueSeen(place, value, "", trio.current_time())
+
+
+def decoded(dictionary: ObjectDictionary, index: int, subindex: int, data: bytes) -> Value:
+    """Return the value of an object by its type; its bytes if it has none, or another length than its type has."""
+    variable = dictionary.get(index, subindex)
+    try:
+        return data if variable is None else variable.decode(data)
+    except ValueError:
+        return data

@@ -19,6 +19,7 @@ from xml.sax.saxutils import quoteattr
 from canopen_master.machine_file import ChainEntry, JointEntry, MachineFile
 from canopen_proto.drives.axis.units import Unit
 from canopen_ros import names
+from canopen_ros.samples import SI
 
 URDF: Final = "urdf/machine.urdf"
 CONTROLLERS: Final = "config/controllers.yaml"
@@ -26,8 +27,6 @@ SRDF: Final = "config/moveit/machine.srdf"
 JOINT_LIMITS: Final = "config/moveit/joint_limits.yaml"
 MOVEIT_CONTROLLERS: Final = "config/moveit/moveit_controllers.yaml"
 ROBOT: Final = "machine"
-_SI: Final = {Unit.RADIAN: 1.0, Unit.DEGREE: math.pi / 180, Unit.TURN: 2 * math.pi, Unit.MILLIMETRE: 0.001}
-"""Radians or metres in one unit of a joint."""
 
 
 class RobotFiles(NamedTuple):
@@ -80,7 +79,7 @@ def robot_files(machine: MachineFile) -> RobotFiles:
 def _joint(entry: JointEntry) -> _Joint:
     settings = entry.settings
     assert settings.unit is not None
-    size = _SI[settings.unit]
+    size = SI[settings.unit]
     kind = "prismatic" if settings.unit is Unit.MILLIMETRE else "revolute"
     limits = settings.min_position, settings.max_position, settings.max_speed, settings.max_acceleration, settings.max_jerk
     return _Joint(entry.name, kind, *(None if each is None or math.isinf(each) else each * size for each in limits))

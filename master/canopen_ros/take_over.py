@@ -112,14 +112,10 @@ class TakeOver:
 
         scales: radians, or metres, in one unit of each joint.
         """
-        if self._joints.issuperset(aims):
-            self._refused.discard(MotionSource.POSITIONS)
-            return None
-        error = self._off(MotionSource.POSITIONS, aims, scales)
+        error = None if self._joints.issuperset(aims) else self._off(MotionSource.POSITIONS, aims, scales)
         if error is None:
             self._joints.update(aims)
             self._refused.discard(MotionSource.POSITIONS)
-            return None
         return error
 
     def of_trajectory(self, first: Mapping[int, float], scales: Sequence[float], age: float) -> ChainError | None:

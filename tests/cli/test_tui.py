@@ -35,7 +35,6 @@ from canopen_cli.tui.questions import Ask
 from canopen_cli.tui.rows import Rows, cell
 from canopen_cli.tui.shown import LineKind, ObjectPlace
 from canopen_cli.tui.views import traffic_text
-from canopen_data import load_dictionary
 from canopen_gateway import GatewaySession, Permission, open_gateway
 from canopen_master import open_master
 from canopen_master.participant.patient_clock import PatientClock
@@ -72,7 +71,7 @@ def viewed(
                 open_master(BUS) as master,
                 open_gateway(master, allow=allow) as service,
             ):
-                files = NodeFiles(settings, settings.screen(), load_dictionary()[0])
+                files = NodeFiles(settings, settings.screen())
                 with service.open_session("the view") as session:
                     held.watch = MachineWatch(service, session, files, trace, Buses(files))
                     opened.set()

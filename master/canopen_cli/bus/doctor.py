@@ -14,7 +14,7 @@ import trio
 
 from canopen_cli.shared.chosen_machine import BUS_VARIABLE, MACHINE_VARIABLE
 from canopen_cli.shared.configuration import configuration_path
-from canopen_cli.shared.options import DEMO, Settings, common, lasting, option_group
+from canopen_cli.shared.options import DEMO, Settings, command, lasting, option_group
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -40,11 +40,10 @@ bitrates_too: Final = option_group(
 """The option of both commands that listen at each bit rate. The command takes `bitrates`."""
 
 
-@click.command()
+@command()
 @bitrates_too
 @lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
-@common
-def doctor(settings: Settings, seconds: float, bitrates: bool) -> int:
+def doctor(settings: Settings, screen: Screen, seconds: float, bitrates: bool) -> int:
     """Check adapters, drivers and permissions; with -b also what is heard on a bus. Nothing is sent.
 
     The lines about real time say what keeps this computer from an exact cycle: docs/realtime.md.
@@ -56,7 +55,6 @@ def doctor(settings: Settings, seconds: float, bitrates: bool) -> int:
     canopen doctor
     canopen doctor -b socketcan:can0
     """
-    screen = settings.screen()
     bus = settings.named_bus()
     if bus is None:
         if bitrates:

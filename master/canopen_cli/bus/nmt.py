@@ -8,7 +8,7 @@ import click
 import trio
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, Settings, commanding, common
+from canopen_cli.shared.options import NodeId, Settings, command, commanding
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
@@ -36,15 +36,14 @@ WAIT_TIME: Final = 5.0
 """Seconds for a heartbeat or boot-up with --wait."""
 
 
-@click.command()
+@command()
 @click.argument("word", metavar="{start|stop|preop|reset|reset-comm}", type=click.Choice(list(COMMANDS)))
 @click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @click.option("--all", "everyone", is_flag=True, help="All nodes of the bus.")
 @click.option("--wait", is_flag=True, help="Until the node's heartbeat or boot-up frame shows that it is done.")
 @click.option("--yes", is_flag=True, help="Do not ask: for all nodes, and for resets.")
 @commanding
-@common
-def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait: bool, yes: bool) -> None:
+def nmt(settings: Settings, screen: Screen, word: str, node_id: int | None, everyone: bool, wait: bool, yes: bool) -> None:
     """Start, stop or reset a node, or all of them.
 
     \b
@@ -59,7 +58,6 @@ def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait
         raise usage("CO001", "--wait waits for one node, not for --all")
     refuse_over_text(settings, wait=wait, dry_run=settings.dry_run)
     command = COMMANDS[word]
-    screen = settings.screen()
     confirm(screen, _question(command, word, node_id), yes, needed=not settings.dry_run and (everyone or command in RESETS))
     state = run_or_show(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait), over_text=True)
     target = "all nodes" if node_id is None else node_text(node_id)

@@ -9,7 +9,7 @@ import click
 import trio
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from canopen_cli.shared.options import DEMO, NodeIds, Settings, common, lasting
+from canopen_cli.shared.options import DEMO, NodeIds, Settings, command, lasting
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
@@ -36,12 +36,11 @@ DETAILS: Final = ("revision", "serial number")
 """Columns shown only with -v and in JSON, so that a row fits into a terminal."""
 
 
-@click.command()
+@command()
 @click.option("--passive", is_flag=True, help="Only listen: nothing is sent.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
 @lasting("How long to listen before asking.  [default: 1.5s]", high=3600, default=LISTEN / SECOND)
-@common
-def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, seconds: float) -> int:
+def scan(settings: Settings, screen: Screen, passive: bool, node_ids: tuple[int, ...] | None, seconds: float) -> int:
     """Find the nodes of a bus. Exit status 5: none was found.
 
     Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time. With a machine file
@@ -51,7 +50,6 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, se
     canopen scan -b demo
     canopen scan --ids 1-32 -b socketcan:can0
     """
-    screen = settings.screen()
     refuse_over_text(settings, passive=passive)
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
     found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, round(seconds * SECOND)), over_text=True)

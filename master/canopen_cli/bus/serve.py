@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import click
 import trio
 
 from canopen_cli.shared.lazy import NamingGroup
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting, until_text
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run_until_interrupted
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.screen import Screen, escape
 from canopen_proto.frame import Frame
 from canopen_transports.loop.beside import beside
 from canopen_transports.record import Record
@@ -26,15 +25,14 @@ def bus() -> None:
     """Run a bus in software, for several terminals or programs."""
 
 
-@bus.command()
+@command(group=bus)
 @click.option(
     "--bind", default=DEFAULT_HOST, metavar="HOST", show_default=True, help="Where to listen: an address of this computer."
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0 for any free one.")
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
 @lasting()
-@common
-def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:
+def serve(settings: Settings, screen: Screen, bind: str, port: int, yes: bool, seconds: float) -> None:
     """Be a CAN bus until Ctrl-C: all other programs hear what one sends.
 
     Only programs of this computer can join, unless --bind says otherwise. There is no password: anybody who can reach the port
@@ -50,7 +48,6 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
 
     The protocol is text: after the line "canopen-bus 1", `nc localhost 20301` shows each frame as candump would.
     """
-    screen = settings.screen()
     local = is_loopback(bind)
     confirm(screen, f"whoever reaches port {port} of {bind} will hear this bus and can move its drives", yes, needed=not local)
     if not local:
@@ -71,11 +68,11 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
             if settings.json:
                 screen.json({"bus": [joining(locator)[0] for locator in locators]})
             for locator in locators:
-                screen.say(f"[bold]a bus on {escape(locator)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+                screen.say(f"[bold]a bus on {escape(locator)}[/], {until_text(seconds)}")
                 here, elsewhere = joining(locator)
                 screen.say(f"Join it in other terminals: [bold]canopen sim -b {here}[/], [bold]canopen scan -b {here}[/]")
                 if elsewhere:
                     screen.say(f"from other computers: [bold]-b {elsewhere}[/]")
-            await trio.sleep(math.inf if seconds is None else seconds)
+            await trio.sleep(seconds)
 
     run_until_interrupted(settings, screen, be_a_bus)

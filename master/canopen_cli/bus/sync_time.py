@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import datetime
+import math
 from typing import Final
 
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import Duration, Settings, commanding, common
+from canopen_cli.shared.options import Duration, Settings, command, commanding
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
@@ -25,13 +26,12 @@ SHOWN: Final = 3
 """SYNCs that a dry run shows: all of them are alike."""
 
 
-@click.command()
+@command()
 @click.option("--period", type=Duration(low=100 * MICROSECOND), help="One each so often, until Ctrl-C or --count: 10ms, 1s.")
 @click.option("--count", type=click.IntRange(min=1), help="How many.  [default: 1, or no end with --period]")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
-def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) -> None:
+def sync(settings: Settings, screen: Screen, period: Time | None, count: int | None, yes: bool) -> None:
     """Send SYNC: all nodes take and send their synchronous PDOs. A DRIVE THAT WAITS FOR SET-POINTS ACTS ON THEM.
 
     Nobody else may send SYNC on this bus meanwhile.
@@ -42,7 +42,6 @@ def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) 
     """
     if period is None and count is not None and count > 1:
         raise usage("CO001", "--count needs a --period", tries=(f"canopen sync --period 10ms --count {count}",))
-    screen = settings.screen()
     confirm(screen, "send SYNC: drives act on the set-points that they have", yes, needed=not settings.dry_run)
     if settings.dry_run:
         shown = min(count or SHOWN, SHOWN)
@@ -68,7 +67,7 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
         with master.events(SyncSent) as syncs:
             master.sync_start(period / SECOND)  # which keeps its phase
             sent = 0
-            wait = None if count is None else count * period / SECOND
+            wait = math.inf if count is None else count * period / SECOND
             async with time_left(screen, f"one SYNC each {period / MILLISECOND:g} ms", wait):
                 async for _ in syncs:
                     sent += 1
@@ -78,16 +77,14 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
             return sent
 
 
-@click.command("time")
+@command("time")
 @commanding
-@common
-def time(settings: Settings) -> None:
+def time(settings: Settings, screen: Screen) -> None:
     """Send this computer's time of day to all nodes (TIME, 0x100), once, in UTC.
 
     \b
     canopen time -b demo
     """
-    screen = settings.screen()
     sent = run_or_show(settings, screen, lambda: _time(settings, screen))
     if settings.json:
         screen.json({"time": sent.isoformat()})

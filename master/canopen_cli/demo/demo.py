@@ -14,10 +14,10 @@ from canopen_cli.motion.record_option import check_record, record_option, record
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, common, enabling, lasting
+from canopen_cli.shared.options import DEMO, FILE, Breakdown, Duration, FiniteRange, Settings, command, enabling, lasting
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.screen import Screen, escape
 from canopen_data import load_dictionary
 from canopen_master.demonstration.task import CHAINS, DemonstrationTask
 from canopen_master.participant.patient_clock import PatientClock
@@ -27,10 +27,9 @@ from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 from canopen_proto.machine import MILLISECOND, Time
 
 CYCLE = Duration(MILLISECOND, 255 * MILLISECOND)
-PICTURE = click.Path(dir_okay=False, path_type=Path)
 
 
-@click.command()
+@command()
 @click.option("--chains", metavar="FILE", help=f"A chain file, yours or an installed one.  [default: {CHAINS}]")
 @click.option("--chain", metavar="NAME", help="Which chain of that file.  [default: the first]")
 @lasting("How long to move.  [default: 5s]", low=0.5, high=3600, default=5.0)
@@ -44,7 +43,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 )
 @click.option(
     "--plot",
-    type=PICTURE,
+    type=FILE,
     help="Draw positions and following errors, as .png, .svg or .pdf (needs matplotlib).",
 )
 @record_option
@@ -59,9 +58,9 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--port", type=click.IntRange(0, 65535), default=8402, show_default=True, help="Of --web; 0: any free one.")
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @enabling
-@common
 def demo(
     settings: Settings,
+    screen: Screen,
     chains: str | None,
     chain: str | None,
     seconds: float,
@@ -102,7 +101,7 @@ def demo(
     canopen demo --bus socketcan:can0 --chains my.csv         the same on hardware
     """
     if web:
-        _show_in_browser(settings, port)
+        _show_in_browser(settings, screen, port)
         return ExitCode.OK
     # CANOPEN_BUS does not count here: a demonstration must not move an arm because a variable was set long ago.
     bus = settings.bus if settings.bus not in (None, "demo") else None
@@ -122,11 +121,10 @@ def demo(
     check_cycle(cycle)
     if plot is not None:
         check_plot(plot)
-        check_new_file(settings, settings.screen(), plot)
-    check_record(settings, settings.screen(), record)
+        check_new_file(settings, screen, plot)
+    check_record(settings, screen, record)
     if defaults and not settings.eds and machine is None:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
-    screen = settings.screen()
     described = read_device_files(settings.eds, load_dictionary()[0], screen, settings.encoding) if settings.eds else {}
     files = {node_id: drive_of(each, defaults=defaults) for node_id, each in described.items()}
     drives = {} if machine is None else drives_of_machine(machine, defaults=defaults)
@@ -149,7 +147,7 @@ def demo(
             screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
 
 
-def _show_in_browser(settings: Settings, port: int) -> None:
+def _show_in_browser(settings: Settings, screen: Screen, port: int) -> None:
     """Serve the page; of the options only --seconds counts, and only if it was given. Raises a CommandError for the others."""
     context = click.get_current_context()
     given = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
@@ -162,7 +160,7 @@ def _show_in_browser(settings: Settings, port: int) -> None:
         )
     from canopen_cli.demo.web import show_in_browser  # needs the extra `web`, which no other demonstration does
 
-    show_in_browser(settings, port, context.params["seconds"] if "seconds" in given else None)
+    show_in_browser(settings, screen, port, context.params["seconds"] if "seconds" in given else math.inf)
 
 
 def check_cycle(cycle: Time) -> None:

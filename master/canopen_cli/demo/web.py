@@ -28,9 +28,8 @@ DEGREES: Final = AxisSettings(unit=Unit.DEGREE, counts_per_unit=1000.0, max_spee
 """A simulated joint counts in thousandths of a degree."""
 
 
-def show_in_browser(settings: Settings, port: int, seconds: float | None) -> None:
-    """Serve the page until Ctrl-C. port: 0 for any free one. seconds: end after this time; None: not by itself."""
-    screen = settings.screen()
+def show_in_browser(settings: Settings, screen: Screen, port: int, seconds: float) -> None:
+    """Serve the page until Ctrl-C. port: 0 for any free one. seconds: end after this time; inf: not by itself."""
 
     def tell(door: WebDoor, service: GatewayService) -> None:
         tell_web_door(settings, screen, door, service)

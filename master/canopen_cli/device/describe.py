@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.declared import describe_device
 from canopen_data.describing import EDS_VERSION
 from canopen_data.description import FileInfo
@@ -20,18 +20,16 @@ from canopen_master.simulation.device_code import load_device
 WRITERS = {".eds": write_eds, ".xdd": write_xdd}
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE.py")
 @click.option("-o", "--output", metavar="OUT", required=True, help="The new file: OUT.eds or OUT.xdd.")
-@common
-def describe(settings: Settings, path: str, output: str) -> None:
+def describe(settings: Settings, screen: Screen, path: str, output: str) -> None:
     """Write the EDS or XDD of a device. The Python file is run for it.
 
     \b
     canopen device describe station.py -o station.eds
     canopen device describe station.py -o station.xdd
     """
-    screen = settings.screen()
     write = WRITERS.get(Path(output).suffix.lower())
     if write is None:
         tries = (f"canopen device describe {path} -o {Path(path).stem}.eds",)

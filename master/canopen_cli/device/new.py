@@ -11,18 +11,17 @@ from typing import Final
 import click
 
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.screen import Screen, escape
 
 SUFFIX: Final = ".py"
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:[-_ ][A-Za-z0-9]+)*")
 
 
-@click.command()
+@command()
 @click.argument("name")
-@common
-def new(settings: Settings, name: str) -> None:
+def new(settings: Settings, screen: Screen, name: str) -> None:
     """Make a device: a Python file that passes `canopen check` as it is.
 
     NAME: of the device, such as io_station; the file is io_station.py, the class IoStation.
@@ -31,7 +30,6 @@ def new(settings: Settings, name: str) -> None:
     canopen device new io_station
     canopen sim io_station.py --id 5 -b udp_multicast
     """
-    screen = settings.screen()
     folder, stem = Path(name).parent, Path(name).name.removesuffix(SUFFIX)
     words = re.split("[-_ ]", stem)
     module = "_".join(words).lower()

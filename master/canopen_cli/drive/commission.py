@@ -11,11 +11,11 @@ from canopen_cli.drive.commissioning import dialogue_of
 from canopen_cli.drive.session import axis_of_command, node_of_command
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import DEMO, Settings, common, enabling, without_dry_run
+from canopen_cli.shared.options import DEMO, Settings, command, enabling, without_dry_run
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import is_asked
 from canopen_cli.shared.running import all_stand, run
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import open_session
 from canopen_master.commissioning import commissioned_machine, commissioned_name
 from canopen_master.commissioning_dialogue import CommissioningDialogue, renamed_text
@@ -23,7 +23,7 @@ from canopen_master.machine_file import machine_text
 from canopen_master.simulation.serving import DEMO_LOCATOR
 
 
-@click.command()
+@command()
 @click.option("-o", "--output", metavar="FILE.toml", help="The machine file to write.  [default: NAME.toml]")
 @click.option("--dcf", metavar="FILE.dcf", help="The drive's values, as they were before.  [default: NAME.dcf]")
 @click.option("--name", help="The name of its joint.  [default: that of the machine file (-m), else driveNODE]")
@@ -33,8 +33,7 @@ from canopen_master.simulation.serving import DEMO_LOCATOR
     "canopen drive commission 3 -b demo --yes    (all of it, with a simulated drive)",
 )
 @enabling
-@common
-def commission(settings: Settings, output: str | None, dcf: str | None, name: str | None, yes: bool) -> int:
+def commission(settings: Settings, screen: Screen, output: str | None, dcf: str | None, name: str | None, yes: bool) -> int:
     """Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move. IT MOVES.
 
     Each motion is asked for before, and an empty answer is always safe: nothing moves by it. The drive has power only while it
@@ -48,7 +47,7 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
     canopen drive commission 5 -e drive.eds -b socketcan:can0
     canopen drive commission 3 -b demo --yes                   with a simulated drive
     """
-    screen, node_id, bus = settings.screen(), node_of_command(), settings.required_bus()
+    node_id, bus = node_of_command(), settings.required_bus()
     if axis := axis_of_command(settings):
         raise usage("CO123", f"only the first axis of a node can be commissioned, and this is axis {axis}")
     if yes and bus != DEMO and not bus.startswith("virtual:"):

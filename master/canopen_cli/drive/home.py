@@ -14,11 +14,11 @@ from canopen_cli.motion.view import DemoView, JointView
 from canopen_cli.shared.chosen_machine import NUMBER, ChosenMachine
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, option_group
+from canopen_cli.shared.options import Duration, Settings, command, commanding, enabling, option_group, together
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.rehearsal import rehearse
 from canopen_cli.shared.running import all_stand, run
-from canopen_cli.shared.screen import escape, node_text
+from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_proto.drives import axis as drive
@@ -49,35 +49,30 @@ class HomingChoice(NamedTuple):
 
 
 homing_options: Final = option_group(
-    click.option(
-        "--style",
-        type=click.Choice(list(STYLES)),
-        default="auto",
-        help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
+    together(
+        "choice",
+        HomingChoice,
+        click.option(
+            "--style",
+            type=click.Choice(list(STYLES)),
+            default="auto",
+            help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
+        ),
+        click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
+        click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
     ),
-    click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
-    click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
     click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
     enabling,
     commanding,
-    common,
 )
-"""The options of a command that homes."""
+"""The options of a command that homes. It has `method` besides, and takes `choice` and `lists`."""
 
 
-@click.command()
+@command()
 @click.argument("names", metavar="NODE...", nargs=-1)
 @click.option("--method", type=METHOD, help="Homing method, written to 0x6098; --list has them.")
 @homing_options
-def home(
-    settings: Settings,
-    names: tuple[str, ...],
-    style: str,
-    method: int | None,
-    limit: Time | None,
-    reset_fault: bool,
-    lists: bool,
-) -> None:
+def home(settings: Settings, screen: Screen, names: tuple[str, ...], choice: HomingChoice, lists: bool) -> None:
     """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them.
 
     The names of a machine file may be on several of its buses.
@@ -87,17 +82,17 @@ def home(
     canopen home --list
     """
     if lists:
-        list_methods(settings, [settings.node_id(each) for each in names])
+        list_methods(settings, screen, [settings.node_id(each) for each in names])
     elif not names:
         raise usage("CO001", "no NODE was named", tries=("canopen home 3", "canopen home --list    the homing methods"))
     else:
-        home_nodes(_by_bus(settings, names), HomingChoice(style, method, limit, reset_fault))
+        home_nodes(screen, _by_bus(settings, names), choice)
 
 
-@click.command("home", cls=NumberCommand)
+@command("home", cls=NumberCommand)
 @click.argument("method", metavar="[METHOD]", required=False, type=METHOD)
 @homing_options
-def home_one(settings: Settings, method: int | None, style: str, limit: Time | None, reset_fault: bool, lists: bool) -> None:
+def home_one(settings: Settings, screen: Screen, choice: HomingChoice, lists: bool) -> None:
     """Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own. IT MOVES. Ctrl-C halts it.
 
     `canopen home NODE...` does the same with several at a time.
@@ -108,9 +103,9 @@ def home_one(settings: Settings, method: int | None, style: str, limit: Time | N
     """
     node_ids = (node_of_command(),)
     if lists:
-        list_methods(settings, node_ids, axis_of_command(settings))
+        list_methods(settings, screen, node_ids, axis_of_command(settings))
     else:
-        home_nodes([DrivesOnBus(settings, node_ids, axis_of_command(settings))], HomingChoice(style, method, limit, reset_fault))
+        home_nodes(screen, [DrivesOnBus(settings, node_ids, axis_of_command(settings))], choice)
 
 
 class DrivesOnBus(NamedTuple):
@@ -136,13 +131,12 @@ def _by_bus(settings: Settings, names: Sequence[str]) -> list[DrivesOnBus]:
     return [DrivesOnBus(own, tuple(node_ids)) for own, node_ids in found.values()]
 
 
-def home_nodes(groups: Sequence[DrivesOnBus], homing: HomingChoice) -> None:
+def home_nodes(screen: Screen, groups: Sequence[DrivesOnBus], homing: HomingChoice) -> None:
     """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done. groups: the
     drives, by their bus."""
     if homing.style == "schunk" and homing.method is not None:
         raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
     settings = groups[0].settings
-    screen = settings.screen()
     for each in groups:
         each.settings.required_bus()
 
@@ -224,9 +218,8 @@ def _as_json(axis: Axis) -> dict[str, Any]:
     }
 
 
-def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> None:
+def list_methods(settings: Settings, screen: Screen, node_ids: Sequence[int], axis: int = 0) -> None:
     """Show the homing methods of the standard, or those that drives list. node_ids: of these drives; empty: the standard's."""
-    screen = settings.screen()
     lists: dict[int, tuple[int, ...] | None] = {}
 
     def methods_of(node: AxisNode) -> Procedure[tuple[int, ...] | None]:

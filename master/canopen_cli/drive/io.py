@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import click
 
 from canopen_cli.drive.session import command_drive, read_drive, unit_of_command
-from canopen_cli.shared.options import Duration, Settings, commanding, common
+from canopen_cli.shared.options import Duration, Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen
 from canopen_proto.drives import axis as procedures
@@ -30,16 +30,13 @@ _OUTPUTS = {0: "brake: 1 holds"}
 _SOURCES = {"input": ProbeSource.INPUT, "index": ProbeSource.INDEX, "selected": ProbeSource.SELECTED}
 
 
-@click.command()
-@common
-def inputs(settings: Settings) -> None:
+@command()
+def inputs(settings: Settings, screen: Screen) -> None:
     """Show the digital inputs of a drive (0x60FD).
 
     \b
     canopen drive inputs 3 -b demo
     """
-    screen = settings.screen()
-
     word = read_drive(settings, screen, lambda node: _read_own(node, objects.DIGITAL_INPUTS, "digital inputs"))
     if settings.json:
         screen.json({"inputs": word, "active": [_name(_INPUTS, bit) for bit in range(_BITS) if word >> bit & 1]})
@@ -47,12 +44,11 @@ def inputs(settings: Settings) -> None:
     _show_bits(screen, _INPUTS, word)
 
 
-@click.command()
+@command()
 @click.argument("changes", metavar="[BIT=0|1]...", nargs=-1)
 @click.option("--cannot-fall", is_flag=True, help="The brake may be opened: this axis cannot fall.")
 @commanding
-@common
-def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> None:
+def outputs(settings: Settings, screen: Screen, changes: tuple[str, ...], cannot_fall: bool) -> None:
     """Show the digital outputs of a drive (0x60FE); with BIT=0 or BIT=1 set some of them.
 
     A bit that is set here is also set in the mask (0x60FE:02): from then on the drive leaves this output to the master. The
@@ -62,7 +58,6 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
     canopen drive outputs 5 -b can0
     canopen drive outputs 5 16=1 -b can0
     """
-    screen = settings.screen()
     wanted = _changes(changes)
 
     def read(node: AxisNode) -> Procedure[tuple[int, int | None]]:
@@ -90,20 +85,18 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
     _show_bits(screen, _OUTPUTS, word, mask)
 
 
-@click.command()
+@command()
 @click.option("--probe", "number", type=click.IntRange(1, 2), default=1, help="Which touch probe.  [default: 1]")
 @click.option("--edge", type=click.Choice(["positive", "negative", "both"]), default="positive", help="[default: positive]")
 @click.option("--source", type=click.Choice(list(_SOURCES)), default="input", help="input, index pulse, or as 0x60D0 selects.")
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long to wait for the edge.  [default: 60s]")
 @commanding
-@common
-def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) -> None:
+def probe(settings: Settings, screen: Screen, number: int, edge: str, source: str, limit: Time) -> None:
     """Arm a touch probe (0x60B8), wait for its edge, and show the position there. It moves nothing: move the drive meanwhile.
 
     \b
     canopen drive probe 5 --edge positive -b can0
     """
-    screen = settings.screen()
     unit, scale = unit_of_command(settings, None)
 
     def procedure(axis: Axis) -> Procedure[ProbeReading]:

@@ -8,8 +8,9 @@ import click
 
 from canopen_cli.demo.demo import CYCLE
 from canopen_cli.drive.session import axis_of_command, node_of_command, run_on_node
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
+from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession
 from canopen_master.node import Node
 from canopen_proto.dictionary.download_order import Write
@@ -24,12 +25,11 @@ from canopen_proto.procedures.steps import Procedure
 _SHORT: Final = {short_name(mode): mode for mode in MODES}
 
 
-@click.command()
+@command()
 @click.option("--mode", "wish", type=click.Choice(list(_SHORT)), help="Only this mode.  [default: the first that works]")
 @click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @click.option("--feed-forward", is_flag=True, help="With an RPDO for what is fed forward in csp: 0x60B1 and 0x60B2.")
-@common
-def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward: bool) -> None:
+def plan(settings: Settings, screen: Screen, wish: str | None, cycle: Time | None, feed_forward: bool) -> None:
     """Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it. Nothing is written.
 
     The drive's file (-e, or that of the machine file) says which PDOs it has and what they may carry; 0x6502 of the drive says
@@ -57,7 +57,6 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward:
         made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=mode, axis=axis, feed_forward=feed_forward)
         return made, (yield from pending_steps(node.remote, made))
 
-    screen = settings.screen()
     made, steps = run_on_node(settings, screen, procedure)
     if settings.json:
         screen.json(_as_json(made, steps))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 
 from canopen_cli.drive.session import command_drive, node_of_command, show_drive, unit_of_command
 from canopen_cli.shared.numbers import NumberCommand, UnitName, position_text
-from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, lasting
+from canopen_cli.shared.options import Duration, Settings, command, commanding, enabling, lasting
 from canopen_cli.shared.problem import usage, with_bus
+from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -21,18 +24,16 @@ from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time
 
 
-@click.command()
+@command()
 @lasting()
 @enabling
 @commanding
-@common
-def enable(settings: Settings, seconds: float | None) -> None:
+def enable(settings: Settings, screen: Screen, seconds: float) -> None:
     """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none.
 
     \b
     canopen drive enable 3 -b demo --for 5s
     """
-    screen = settings.screen()
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from identify(axis)
@@ -43,7 +44,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def held(axis: Axis) -> Procedure[None]:
         yield from procedures.enable(axis)
         screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
-        end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
+        end = NEVER if seconds == math.inf else (yield from current_time()) + round(seconds * SECOND)
         watch: DriveWait[bool] = DriveWait(axis, "the end of its time", stays=State.OPERATION_ENABLED)
         yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
         screen.say(f"{seconds:g} s are over: it gets no more power")
@@ -51,10 +52,10 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def story(confirmed: bool) -> list[str]:
         return ["the drive has no power any more" if confirmed else "the drive was told to have no power any more"]
 
-    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds is not None, enables=True))
+    show_drive(settings, screen, command_drive(settings, screen, procedure, story, ends=seconds < math.inf, enables=True))
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("position", type=float)
 @click.option("--relative", is_flag=True, help="By so much from where it stands.")
 @click.option(
@@ -66,8 +67,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
 @enabling
 @commanding
-@common
-def move(settings: Settings, position: float, relative: bool, unit: str | None, limit: Time) -> None:
+def move(settings: Settings, screen: Screen, position: float, relative: bool, unit: str | None, limit: Time) -> None:
     """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 
     The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
@@ -78,7 +78,6 @@ def move(settings: Settings, position: float, relative: bool, unit: str | None, 
     canopen drive move 3 2000 -b demo
     canopen drive move 3 --relative -b demo -- -500
     """
-    screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
     if chosen == COUNTS and not position.is_integer():
         raise usage("CO120", f"a position in counts is a whole number; it is {position!r}", tries=("a whole number, or --in",))

@@ -58,7 +58,7 @@ def run_on_node(
     label = f"drive {node_id}: {click.get_current_context().info_name}"
 
     async def command() -> T:
-        async with open_session(settings, screen) as session, time_left(screen, label, None, "Ctrl-C halts it"):
+        async with open_session(settings, screen) as session, time_left(screen, label, ending="Ctrl-C halts it"):
             return await session.master.run(procedure(session, session.node(node_id, axis)))
 
     return run(settings, screen, command, story=story)
@@ -138,9 +138,8 @@ def joint_settings(settings: Settings) -> AxisSettings:
     return AxisSettings() if joint is None else joint.settings
 
 
-def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
+def take_step(settings: Settings, screen: Screen, step: Callable[[Axis], Procedure[None]]) -> None:
     """Take a step with the drive, and show what it shows then."""
-    screen = settings.screen()
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from step(axis)

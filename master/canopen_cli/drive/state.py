@@ -20,8 +20,9 @@ from canopen_cli.drive.session import (
     unit_of_command,
 )
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.options import Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import look_at_drive, require_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -38,15 +39,13 @@ _LOOK: Final = 50 * MILLISECOND
 """Between two positions that show whether a drive moves."""
 
 
-@click.command()
-@common
-def state(settings: Settings) -> None:
+@command()
+def state(settings: Settings, screen: Screen) -> None:
     """Show state, mode and position of a drive, and what keeps it from moving.
 
     \b
     canopen drive state 3 -b demo
     """
-    screen = settings.screen()
     unit, _ = unit_of_command(settings, None)
     axis_settings = joint_settings(settings)
 
@@ -78,27 +77,24 @@ def _moved(node: AxisNode, view: DriveView) -> Procedure[int]:
     return 0 if stands else way
 
 
-@click.command("fault-reset")
+@command("fault-reset")
 @commanding
-@common
-def fault_reset(settings: Settings) -> None:
+def fault_reset(settings: Settings, screen: Screen) -> None:
     """Reset a fault: a rising edge of bit 7. It moves nothing: the drive is not enabled afterwards.
 
     \b
     canopen drive fault-reset 3 -b demo
     """
-    take_step(settings, procedures.reset_fault)
+    take_step(settings, screen, procedures.reset_fault)
 
 
-@click.command()
-@common
-def units(settings: Settings) -> None:
+@command()
+def units(settings: Settings, screen: Screen) -> None:
     """Show what the numbers of a drive mean, and which of its objects say so (the factor group).
 
     \b
     canopen drive units 3 -b demo
     """
-    screen = settings.screen()
 
     def look(node: AxisNode) -> Procedure[DriveUnits]:
         yield from require_drive(node)
@@ -161,11 +157,10 @@ def _units_json(units: DriveUnits) -> dict[str, Any]:
     }
 
 
-@click.command(cls=NumberCommand)  # a maker's mode is below 0
+@command(cls=NumberCommand)  # a maker's mode is below 0
 @click.argument("name", metavar="[MODE]", required=False)
 @commanding
-@common
-def mode(settings: Settings, name: str | None) -> None:
+def mode(settings: Settings, screen: Screen, name: str | None) -> None:
     """Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one.
 
     A drive that is enabled is not changed: in some modes it would obey an old target at once.
@@ -174,7 +169,6 @@ def mode(settings: Settings, name: str | None) -> None:
     canopen drive mode 3 -b demo
     canopen drive mode 3 pp -b demo
     """
-    screen = settings.screen()
 
     def select(axis: Axis, number: int) -> Procedure[DriveView]:
         view = yield from look_at_drive(axis.node)

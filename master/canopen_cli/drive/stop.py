@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import click
 
 from canopen_cli.drive.session import AXIS, axis_of_command, command_drive, run_on_node, show_drive
-from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.options import Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession
@@ -64,10 +64,9 @@ QUICK_STOP: Final = Stop("quick stop", Command.QUICK_STOP, _quick_stopped)
 DISABLE: Final = Stop("disable voltage", Command.DISABLE_VOLTAGE, shut_down)
 
 
-@click.command()
+@command()
 @commanding
-@common
-def stop(settings: Settings) -> None:
+def stop(settings: Settings, screen: Screen) -> None:
     """Command a quick stop, and wait until the drive stands. It brakes as 0x605A says; most drives have no power afterwards.
 
     The first frame that is sent is the stop. Without --axis all axes of the node are stopped. A node that does not answer is told
@@ -76,13 +75,12 @@ def stop(settings: Settings) -> None:
     \b
     canopen drive stop 3 -b demo
     """
-    _carry_out(settings, QUICK_STOP)
+    _carry_out(settings, screen, QUICK_STOP)
 
 
-@click.command()
+@command()
 @commanding
-@common
-def disable(settings: Settings) -> None:
+def disable(settings: Settings, screen: Screen) -> None:
     """Take the power from a drive. One that moves coasts, or is stopped as its maker chose.
 
     The first frame that is sent is the command. Without --axis all axes of the node lose their power. A node that does not answer
@@ -91,11 +89,10 @@ def disable(settings: Settings) -> None:
     \b
     canopen drive disable 3 -b demo
     """
-    _carry_out(settings, DISABLE)
+    _carry_out(settings, screen, DISABLE)
 
 
-def _carry_out(settings: Settings, way: Stop) -> None:
-    screen = settings.screen()
+def _carry_out(settings: Settings, screen: Screen, way: Stop) -> None:
     if settings.dry_run:
 
         def rehearsed(axis: Axis) -> Procedure[None]:

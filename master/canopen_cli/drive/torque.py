@@ -9,8 +9,9 @@ import click
 
 from canopen_cli.drive.session import command_drive
 from canopen_cli.shared.numbers import NumberCommand, UnitName
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
+from canopen_cli.shared.options import FiniteRange, Settings, command, commanding, enabling, lasting
 from canopen_cli.shared.problem import usage
+from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -22,7 +23,7 @@ PER_MILLE: Final = "per-mille"
 NEWTON_METRE: Final = "newton-metre"
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("value", type=float)
 @click.option(
     "--in",
@@ -42,9 +43,9 @@ NEWTON_METRE: Final = "newton-metre"
 @click.option("--any-speed", is_flag=True, help="It may be as fast as it can.")
 @enabling
 @commanding
-@common
 def torque(
     settings: Settings,
+    screen: Screen,
     value: float,
     unit: str,
     seconds: float,
@@ -63,7 +64,6 @@ def torque(
     """
     if any_speed and max_speed is not None:
         raise usage("CO123", "--max-speed and --any-speed exclude each other", tries=("one of them",))
-    screen = settings.screen()
 
     def procedure(axis: Axis) -> Procedure[tuple[float, float | None, DriveView]]:
         yield from procedures.identify(axis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -9,8 +10,9 @@ import click
 
 from canopen_cli.drive.session import command_drive, unit_of_command
 from canopen_cli.shared.numbers import NumberCommand, UnitName
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
+from canopen_cli.shared.options import FiniteRange, Settings, command, commanding, enabling, lasting, until_text
 from canopen_cli.shared.problem import usage
+from canopen_cli.shared.screen import Screen
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -27,7 +29,7 @@ _MODES: Final = {"pv": Mode.PROFILE_VELOCITY, "vl": Mode.VELOCITY}
 _ABOVE_0: Final = FiniteRange(0, min_open=True)
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("value", type=float)
 @click.option(
     "--in",
@@ -42,12 +44,12 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 @click.option("--max-speed", type=_ABOVE_0, help="The highest VALUE; by default the drive's, else 30,000 counts per second.")
 @enabling
 @commanding
-@common
 def velocity(
     settings: Settings,
+    screen: Screen,
     value: float,
     unit: str | None,
-    seconds: float | None,
+    seconds: float,
     mode_name_: str | None,
     acceleration: float | None,
     deceleration: float | None,
@@ -62,7 +64,6 @@ def velocity(
     \b
     canopen drive velocity 5 500 --for 2s -b can0
     """
-    screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
     told: list[procedures.Running] = []
 
@@ -71,7 +72,7 @@ def velocity(
         if running.is_reached:
             return
         rounded = "" if abs(running.velocity - value) < 1e-9 + 1e-6 * abs(value) else f" ({value:g} was asked for)"
-        end = "Ctrl-C stops it" if seconds is None else f"for {seconds:g} s"
+        end = "Ctrl-C stops it" if seconds == math.inf else until_text(seconds)
         screen.say(f"it runs at {_named(running.velocity, chosen)}{rounded}, in {mode_name(running.mode)}; {end}")
 
     def procedure(axis: Axis) -> Procedure[tuple[DriveView, float | None]]:
@@ -84,7 +85,7 @@ def velocity(
         run = procedures.run_at(
             axis,
             value,
-            duration=None if seconds is None else round(seconds * SECOND),
+            duration=None if seconds == math.inf else round(seconds * SECOND),
             mode=mode,
             acceleration=acceleration,
             deceleration=deceleration,
@@ -93,7 +94,7 @@ def velocity(
         measured = yield from ends_unpowered(axis, run)
         return (yield from look_at_drive(axis.node)), measured
 
-    view, measured = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None, enables=True)
+    view, measured = command_drive(settings, screen, procedure, _ended, scale, ends=seconds < math.inf, enables=True)
     last = told[-1]
     if settings.json:
         document = {"velocity": last.velocity, "unit": chosen, "mode": int(last.mode), "reached": last.is_reached}

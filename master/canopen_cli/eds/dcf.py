@@ -9,9 +9,9 @@ import click
 
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common, option_group
+from canopen_cli.shared.options import NodeId, Settings, command, option_group
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import as_json, object_json, parse_value, place_text, value_text
 from canopen_data.configured import with_configured
 from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileKind
@@ -38,14 +38,14 @@ _settings: Final = option_group(
 """The options that name the device and its settings."""
 
 
-@click.command(name="to-dcf")
+@command(name="to-dcf")
 @_settings
 @click.option("--bitrate", type=click.Choice([str(each) for each in BIT_RATES]), help="kbit/s.")
 @click.option("--name", "node_name", help="What the device is called in its network.")
 @click.option("--modules", metavar="N,...", help="Modular device: the number of the module in each slot; 0 for an empty one.")
-@common
 def to_dcf(
     settings: Settings,
+    screen: Screen,
     path: str,
     node_id: int | None,
     assignments: tuple[str, ...],
@@ -60,7 +60,6 @@ def to_dcf(
     canopen eds to-dcf drive.eds --id 5 --bitrate 500 --set 1017=200 -o axis5.dcf
     canopen eds to-dcf coupler.eds --id 6 --modules 1,1,4 -o coupler6.dcf
     """
-    screen = settings.screen()
     check_new_file(settings, screen, output, path)
     slots = _slots(modules)
     file = open_description(path, settings.encoding, slots)
@@ -91,10 +90,11 @@ def to_dcf(
     screen.say(f"{escape(output)}: DCF of node {commissioning.node_id}, {counted(len(chosen), 'new setting')}")
 
 
-@click.command(name="to-cdcf")
+@command(name="to-cdcf")
 @_settings
-@common
-def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tuple[str, ...], output: str) -> None:
+def to_cdcf(
+    settings: Settings, screen: Screen, path: str, node_id: int | None, assignments: tuple[str, ...], output: str
+) -> None:
     """Make a concise DCF: the bytes that object 0x1F22 of a configuration manager takes.
 
     It holds the values that the DCF configures and those of --set, in an order in which the device can take them.
@@ -103,7 +103,6 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
     canopen eds to-cdcf axis5.dcf -o axis5.cdcf
     canopen eds to-cdcf drive.eds --id 5 --set 1017=200 -o axis5.cdcf
     """
-    screen = settings.screen()
     check_new_file(settings, screen, output, path)
     file = open_description(path, settings.encoding)
     commissioning = commissioned(file.description, node_id, path)

@@ -8,9 +8,9 @@ from typing import Any, Final
 import click
 
 from canopen_cli.shared.eds_files import tell_faults
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import plain_json
 from canopen_data.difference import Change, Difference, Relative, compare
 from canopen_data.named_files import open_description
@@ -18,11 +18,10 @@ from canopen_data.named_files import open_description
 _MARKS: Final = {Change.ADDED: "[green]+[/]", Change.REMOVED: "[red]-[/]", Change.CHANGED: "[yellow]~[/]"}
 
 
-@click.command()
+@command()
 @click.argument("before", metavar="A")
 @click.argument("after", metavar="B")
-@common
-def diff(settings: Settings, before: str, after: str) -> int:
+def diff(settings: Settings, screen: Screen, before: str, after: str) -> int:
     """Compare two device descriptions by meaning: EDS, DCF, XDD, XDC, in any mixture.
 
     Order, spelling, comments and the form of numbers do not matter. Exit status: 0 they say the same, 1 they do not.
@@ -31,7 +30,6 @@ def diff(settings: Settings, before: str, after: str) -> int:
     canopen eds diff old.eds new.eds
     canopen eds diff drive.eds commissioned.dcf --json
     """
-    screen = settings.screen()
     files = [open_description(path, settings.encoding) for path in (before, after)]
     found = compare(*(each.description for each in files))
     if settings.json:

@@ -11,26 +11,24 @@ from canopen_cli.eds.markdown import markdown_of
 from canopen_cli.eds.page import page_of
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.options import Settings, command
+from canopen_cli.shared.screen import Screen, escape
 from canopen_data.named_files import open_description
 
 FORMS = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.option("-o", "--output", metavar="OUT", help="The page: OUT.html or OUT.md. Without it, the page goes to stdout.")
 @click.option("--form", type=click.Choice(["html", "md"]), help="By default what the name of OUT says, else html.")
-@common
-def doc(settings: Settings, path: str, output: str | None, form: str | None) -> None:
+def doc(settings: Settings, screen: Screen, path: str, output: str | None, form: str | None) -> None:
     """Make one readable page of a device description: HTML that needs nothing else, or Markdown.
 
     \b
     canopen eds doc drive.eds -o drive.html
     canopen eds doc drive.eds --form md
     """
-    screen = settings.screen()
     if output is not None:
         check_new_file(settings, screen, output, path)
     file = open_description(path, settings.encoding)

@@ -8,9 +8,9 @@ import click
 
 from canopen_cli.shared.eds_files import finding_as_json
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.checks import check
 from canopen_data.description import FileKind
 from canopen_data.findings import Severity
@@ -20,13 +20,12 @@ from canopen_data.repair import repair
 _STYLES = {"+": "green", "-": "red", "@": "cyan"}
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.option("-o", "--output", metavar="OUT", help="The repaired file.")
 @click.option("--in-place", is_flag=True, help="Write it back to FILE.")
 @click.option("--dry-run", is_flag=True, help="Show what would be changed, as a unified diff, and write nothing.")
-@common
-def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_run: bool) -> int:
+def fix(settings: Settings, screen: Screen, path: str, output: str | None, in_place: bool, dry_run: bool) -> int:
     """Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding.
 
     Each repair is reported. Nothing is guessed: the meaning of the file stays as it was, and no value is made up.
@@ -39,7 +38,6 @@ def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_r
     if sum((output is not None, in_place, dry_run)) != 1:
         tries = (f"canopen eds fix {path} --dry-run", f"canopen eds fix {path} -o fixed.eds")
         raise usage("CO001", "name the place of the repaired file: one of -o OUT, --in-place, --dry-run", tries=tries)
-    screen = settings.screen()
     file = open_description(path, settings.encoding)
     if file.description.kind not in (FileKind.EDS, FileKind.DCF):
         raise usage("CO001", f"{path} is an {file.description.kind}; only EDS and DCF can be repaired")

@@ -9,7 +9,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.shared.eds_files import counts_of, counts_text, finding_as_json, finding_lines
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import DataError
@@ -46,13 +46,12 @@ class _Report:
         }
 
 
-@click.command()
+@command()
 @click.argument("paths", metavar="FILE...", nargs=-1)
 @click.option("--strict", is_flag=True, help="Notices count too: exit status 1 where there is any finding.")
 @click.option("--max-errors", type=click.IntRange(min=0), default=50, show_default=True, help="Findings shown per file; 0: all.")
 @click.option("--rules", is_flag=True, help="List the rules that are checked, and end.")
-@common
-def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: int, rules: bool) -> int:
+def lint(settings: Settings, screen: Screen, paths: tuple[str, ...], strict: bool, max_errors: int, rules: bool) -> int:
     """Check device descriptions: EDS, DCF, XDD, XDC.
 
     One pass reports everything: faults of the file's form, and contradictions to CiA 301, CiA 306 or within the file.
@@ -63,7 +62,6 @@ def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: i
     canopen eds lint drive.eds
     canopen eds lint *.eds --json
     """
-    screen = settings.screen()
     if rules:
         return _list_rules(screen)
     if not paths:

@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.eds import text as eds_text
 from canopen_cli.shared.eds_files import finding_as_json, tell_faults
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import as_json, object_json, place_text
 from canopen_data.checks.structure import field_name
@@ -21,11 +21,10 @@ from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFo
 COLUMNS = ("object", "name", "type", "access", "PDO", "default", "limits")
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.argument("keys", metavar="[OBJECT]...", nargs=-1)
-@common
-def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
+def show(settings: Settings, screen: Screen, path: str, keys: tuple[str, ...]) -> None:
     """Show what a device description says: EDS, DCF, XDD, XDC.
 
     Without OBJECT: the device, its PDOs and all objects. An OBJECT is a name or a number in hexadecimal (6041, 1018:01).
@@ -34,7 +33,6 @@ def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
     canopen eds show drive.eds
     canopen eds show drive.eds statusword 1018
     """
-    screen = settings.screen()
     file = open_description(path, settings.encoding)
     description = file.description
     chosen = [each for key in keys for each in _find(description.dictionary, key)] if keys else _all(description.dictionary)

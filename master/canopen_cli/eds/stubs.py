@@ -10,21 +10,20 @@ import click
 from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.node_files import overlaid
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.descriptions import with_names
 from canopen_data.named_files import open_description
 from canopen_data.stubs import identifier, stubs_of
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE")
 @click.option("-o", "--output", metavar="OUT.py", required=True, help="The new Python file.")
 @click.option("--class", "class_name", metavar="NAME", help="The class in it; by default after OUT: drive.py has Drive.")
-@common
-def stubs(settings: Settings, path: str, output: str, class_name: str | None) -> None:
+def stubs(settings: Settings, screen: Screen, path: str, output: str, class_name: str | None) -> None:
     """Write a typed view of a device: a Python file with a key for each object.
 
     mypy and pyright then refuse a wrong name, a wrong type, and a write to what is read-only: `node.read(Drive.statusword)` gives
@@ -34,7 +33,6 @@ def stubs(settings: Settings, path: str, output: str, class_name: str | None) ->
     canopen eds stubs drive.eds -o drive.py
     canopen eds stubs drive.eds -o drive.py --overlay units.toml
     """
-    screen = settings.screen()
     if class_name is None:
         class_name = "".join(word.capitalize() for word in identifier(Path(output).stem).split("_")) or "Device"
     if not class_name.isidentifier() or identifier(class_name) != identifier(class_name).rstrip("_"):

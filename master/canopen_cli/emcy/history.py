@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, Settings, commanding, common
+from canopen_cli.shared.options import NodeId, Settings, command, commanding
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import open_session
@@ -29,16 +29,14 @@ class ErrorHistory(NamedTuple):
     entries: tuple[int, ...] | None
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
-@common
-def history(settings: Settings, node_id: int) -> None:
+def history(settings: Settings, screen: Screen, node_id: int) -> None:
     """Show a node's error register (0x1001) and its last errors (0x1003), the newest first.
 
     \b
     canopen emcy history 3 -b demo
     """
-    screen = settings.screen()
     found = run(settings, screen, lambda: _read(settings, screen, node_id))
     if settings.json:
         entries = None if found.entries is None else [_as_json(each) for each in found.entries]
@@ -56,11 +54,10 @@ def history(settings: Settings, node_id: int) -> None:
         screen.table(COLUMNS, rows, right=("",))
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @commanding
-@common
-def clear(settings: Settings, node_id: int) -> None:
+def clear(settings: Settings, screen: Screen, node_id: int) -> None:
     """Have a node forget its last errors: 0 is written to 0x1003:00.
 
     An error that is present stays present: a drive's fault is reset by `canopen drive fault-reset`.
@@ -68,7 +65,6 @@ def clear(settings: Settings, node_id: int) -> None:
     \b
     canopen emcy clear 3 -b demo
     """
-    screen = settings.screen()
     forgotten = run_or_show(settings, screen, lambda: _clear(settings, screen, node_id))
     if settings.json:
         screen.json({"node": node_id, "forgotten": forgotten})

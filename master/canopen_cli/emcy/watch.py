@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,11 +13,10 @@ from canopen_cli.live.frame_lines import Buses
 from canopen_cli.live.line_writer import open_line_writer
 from canopen_cli.live.source import open_live_source, recorded, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, lasting, until_text
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.shared.session import read_dictionary
 from canopen_master.plain_text import json_text
 from canopen_proto.emcy import NO_ERROR
 from canopen_proto.error_codes import error_text, register_names
@@ -28,14 +26,13 @@ _LEAST: Final = 2
 """Bytes of an emergency that say what it is. Missing ones count as 0, as in EmcyConsumer."""
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @click.option("--node", "nodes", type=NodeIds(), help="Only from these nodes: 5, or 3-8.")
 @recorded
 @lasting()
-@common
 def watch(
-    settings: Settings, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float | None
+    settings: Settings, screen: Screen, node_id: int | None, nodes: tuple[int, ...] | None, source: Path | None, seconds: float
 ) -> int:
     """Show emergencies in words as they come, of all nodes or of one, until Ctrl-C. Nothing is sent.
 
@@ -47,15 +44,14 @@ def watch(
     canopen emcy watch 5 --for 10s -b can0
     canopen emcy watch --log trace.log --json
     """
-    screen = settings.screen()
     if node_id is not None:
         nodes = (node_id, *(nodes or ()))
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     counts = _Counts()
 
     async def show() -> None:
         try:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await _show(settings, screen, files, frozenset(nodes or ()), source, counts, seconds)
         finally:
             if source is None or counts.frames:
@@ -83,7 +79,7 @@ async def _show(
     nodes: frozenset[int],
     source: Path | None,
     counts: _Counts,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     async with (
         first_error(),

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from canopen_cli.fleet.joining import PlaceText, joining
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.fleet.joining import PlaceText, WayIn, joining
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
-from canopen_gateway.fleet import FleetPlace, open_fleet
-from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
+from canopen_cli.shared.screen import Screen
+from canopen_gateway.fleet import FleetPlace
 
 
-@click.command()
+@command()
 @click.argument("place", type=PlaceText(), default="*/*")
 @joining
-@common
-def halt(settings: Settings, place: FleetPlace, connect: tuple[str, ...], config: Path | None) -> int:
+def halt(settings: Settings, screen: Screen, place: FleetPlace, way_in: WayIn) -> int:
     """Stop what moves, at one place or everywhere. Anybody may, always; nothing has to be allowed for it.
 
     PLACE is SITE/BUS or SITE/BUS/NODE; * stands for each. Everywhere by default. It is no safety function: keep the emergency
@@ -28,11 +25,9 @@ def halt(settings: Settings, place: FleetPlace, connect: tuple[str, ...], config
     canopen fleet halt
     canopen fleet halt hall-2/arm
     """
-    screen = settings.screen()
 
     async def stop() -> dict[FleetPlace, list[str]]:
-        endpoints = connect or (() if config is not None else (DEFAULT_ENDPOINT,))
-        async with open_fleet(connect=endpoints, config=config) as fleet:
+        async with way_in.open() as fleet:
             return await fleet.halt(place)  # at once: who is there is not waited for
 
     answers = run(settings, screen, stop)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import click
 
-from canopen_cli.shared.options import TextKind, without_object
+from canopen_cli.shared.options import FILE, TextKind, together, without_object
 from canopen_gateway.errors import FleetError
 from canopen_gateway.fleet import Fleet, FleetPlace, open_fleet, parse_place
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, check_endpoint
@@ -51,37 +51,58 @@ def zenoh_file(command: F) -> F:
     added: F = click.option(
         "--zenoh",
         "config",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE.json5",
         help="A file of Zenoh's configuration: users, TLS, rules of access (docs/fleet.md).",
     )(command)
     return added
 
 
-def joining(command: F) -> F:
-    """Add the options by which a viewer joins a fleet: `connect` and `config`."""
-    connect = click.option(
+def or_default(endpoints: tuple[str, ...], config: Path | None) -> tuple[str, ...]:
+    """Return the endpoints that were named; if neither one was, nor a configuration, the default one."""
+    return endpoints or (() if config is not None else (DEFAULT_ENDPOINT,))
+
+
+class WayIn:
+    """How a viewer joins a fleet. connect: bridges and routers."""
+
+    def __init__(self, connect: tuple[str, ...], config: Path | None) -> None:
+        self.connect = or_default(connect, config)
+        self._config = config
+
+    def open(self) -> AbstractAsyncContextManager[Fleet]:
+        """Join the fleet while the block runs, whoever is there."""
+        return open_fleet(connect=self.connect, config=self._config)
+
+    def __str__(self) -> str:
+        return ", ".join(self.connect) or str(self._config)
+
+
+joining: Final = together(
+    "way_in",
+    WayIn,
+    click.option(
         "--connect",
         type=Endpoint(),
         multiple=True,
         envvar=FLEET_VARIABLE,
         metavar="ENDPOINT",
         help=f"A bridge or a router; may be repeated.  [default: {DEFAULT_ENDPOINT}; env: {FLEET_VARIABLE}]",
-    )
-    added: F = connect(zenoh_file(command))
-    return added
+    ),
+    zenoh_file,
+)
+"""The options by which a viewer joins a fleet. The command takes `way_in`: WayIn."""
 
 
 @asynccontextmanager
-async def joined(connect: tuple[str, ...], config: Path | None) -> AsyncIterator[Fleet]:
+async def joined(way_in: WayIn) -> AsyncIterator[Fleet]:
     """Join a fleet while the block runs. Raises FleetError if no bridge is there."""
-    endpoints = connect or (() if config is not None else (DEFAULT_ENDPOINT,))
-    async with open_fleet(connect=endpoints, config=config) as fleet:
+    async with way_in.open() as fleet:
         await fleet.settled()
         if not fleet.buses:
             raise FleetError(
                 "nobody is there",
-                seen=f"no bridge showed itself, by {', '.join(endpoints) or config}",
+                seen=f"no bridge showed itself, by {way_in}",
                 cause="no bridge runs, or this program may not see it",
                 tries=("canopen serve zenoh --site NAME -b BUS --listen tcp/127.0.0.1:7447", "--connect ENDPOINT"),
             )

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
 
-from canopen_cli.fleet.joining import PlaceOfObject, joined, joining
-from canopen_cli.shared.options import Settings, common, with_named_object
+from canopen_cli.fleet.joining import PlaceOfObject, WayIn, joined, joining
+from canopen_cli.shared.options import Settings, command, with_named_object
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_gateway.errors import BridgeRefusedError, FleetError
 from canopen_gateway.fleet import FleetPlace, FleetValue
 from canopen_master.plain_text import clean
 
 
-@click.command()
+@command()
 @joining
-@common
-def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int:
+def ls(settings: Settings, screen: Screen, way_in: WayIn) -> int:
     """List the buses and nodes of a fleet, as their bridges see them.
 
     A node is listed while its bridge has heard of it lately. Exit status 3: no bridge is there.
@@ -28,11 +26,10 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
     \b
     canopen fleet ls --connect tcp/192.168.1.20:7447
     """
-    screen = settings.screen()
 
     async def look() -> list[tuple[FleetPlace, dict[str, Any]]]:
         told = []
-        async with joined(connect, config) as fleet:
+        async with joined(way_in) as fleet:
             for bus in fleet.buses:
                 try:
                     told.append((bus, await fleet.status(bus)))
@@ -64,12 +61,11 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
     return ExitCode.OK
 
 
-@click.command()
+@command()
 @click.argument("place", type=PlaceOfObject(node=True))
 @click.argument("objects", nargs=-1, metavar="OBJECT...")
 @joining
-@common
-def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], connect: tuple[str, ...], config: Path | None) -> int:
+def read(settings: Settings, screen: Screen, place: FleetPlace, objects: tuple[str, ...], way_in: WayIn) -> int:
     """Read objects of nodes of a fleet, side by side. Exit status 5: a node did not answer; 11: it refused.
 
     PLACE is SITE/BUS/NODE; * stands for each. OBJECT is a name of the bridge's dictionary, or 6041:00; it may stand at the node.
@@ -78,11 +74,10 @@ def read(settings: Settings, place: FleetPlace, objects: tuple[str, ...], connec
     canopen fleet read '*/*/*' 1008               all nodes of all machines
     canopen fleet read hall-2/arm/5:statusword
     """
-    screen = settings.screen()
     objects = with_named_object(objects, place)
 
     async def look() -> list[FleetValue]:
-        async with joined(connect, config) as fleet:
+        async with joined(way_in) as fleet:
             if place.node_id > 0 and "*" not in place:
                 return [await fleet.read(place, each) for each in objects]
             found = [value for each in objects for value in await fleet.read_all(place, each)]

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import click
 
-from canopen_cli.shared.options import Kind, Settings, TextKind, common
+from canopen_cli.shared.options import Kind, Settings, TextKind, command
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_gateway.fleet.keys import ANY, NAME, FleetPlace, parse_place
@@ -71,7 +71,7 @@ class PastTime(Kind):
             self.fail(f"{value!r} is neither a time ago (90s, 30min, 2h, 7d) nor one by the clock (2026-11-28T22:00)", param, ctx)
 
 
-@click.command()
+@command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), metavar="DIR")
 @click.argument("wanted", type=PastObjectText(), nargs=-1, metavar="[NODE:OBJECT]...")
 @click.option("--sql", default="", metavar="SELECT", help="A SELECT of the views, or the name of one of them: gaps.")
@@ -79,9 +79,9 @@ class PastTime(Kind):
 @click.option("--until", type=PastTime(), help="Only until then.")
 @click.option("--limit", type=click.IntRange(0), default=MOST_ROWS, show_default=True, help="Rows that are shown; 0: all.")
 @click.option("--csv", "as_csv", is_flag=True, help="As CSV.")
-@common
 def query(
     settings: Settings,
+    screen: Screen,
     folder: Path,
     wanted: tuple[PastObject, ...],
     sql: str,
@@ -102,7 +102,6 @@ def query(
     canopen fleet query history --sql gaps
     canopen fleet query history --sql "SELECT place, max(value) FROM samples WHERE name LIKE '%torque%' GROUP BY place" --csv
     """
-    screen = settings.screen()
     if as_csv and settings.json:
         raise usage("CO123", "--csv and --json are two forms", tries=("one of them",))
     if sql and any(each.key for each in wanted):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
 import trio
 
-from canopen_cli.fleet.joining import PlaceText, joined, joining
-from canopen_cli.shared.options import Seconds, Settings, common, lasting
+from canopen_cli.fleet.joining import PlaceText, WayIn, joined, joining
+from canopen_cli.shared.options import Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -18,7 +17,7 @@ from canopen_gateway.history import Recorded, record_fleet
 from canopen_gateway.history.recorder import FLUSH, LEAST_FLUSH
 
 
-@click.command()
+@command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), metavar="DIR")
 @click.argument("place", type=PlaceText(), default="*/*")
 @click.option(
@@ -34,17 +33,16 @@ from canopen_gateway.history.recorder import FLUSH, LEAST_FLUSH
 )
 @lasting()
 @joining
-@common
 def record(
     settings: Settings,
+    screen: Screen,
     folder: Path,
     place: FleetPlace,
     objects: tuple[str, ...],
     every: float,
     flush: float,
-    seconds: float | None,
-    connect: tuple[str, ...],
-    config: Path | None,
+    seconds: float,
+    way_in: WayIn,
 ) -> int:
     """Record a fleet as Parquet, by site, node and hour, until Ctrl-C: PDOs, states, emergencies, who comes and goes.
 
@@ -56,16 +54,15 @@ def record(
     canopen fleet record history --read statusword --every 1s
     canopen fleet query history
     """
-    screen = settings.screen()
     recorded = Recorded()
     scope = trio.CancelScope()
 
     def started(_: Recorded) -> None:
-        scope.deadline = math.inf if seconds is None else trio.current_time() + seconds
+        scope.deadline = trio.current_time() + seconds
         screen.say(f"recording to {escape(str(folder))}; a kill loses {flush:g} s at most")
 
     async def work() -> None:
-        async with joined(connect, config) as fleet:
+        async with joined(way_in) as fleet:
             with scope:
                 await record_fleet(
                     fleet,

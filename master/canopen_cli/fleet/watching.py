@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import click
 import trio
 
-from canopen_cli.fleet.joining import PlaceText, joined, joining
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.fleet.joining import PlaceText, WayIn, joined, joining
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.running import run_until_interrupted
-from canopen_cli.shared.screen import counted
+from canopen_cli.shared.screen import Screen, counted
 from canopen_gateway.fleet import FleetEmcy, FleetNews, FleetPdo, FleetPlace, FleetState, PlaceAppeared, PlaceGone
 from canopen_master.plain_text import json_text
 from canopen_proto.error_codes import error_text
 
 
-@click.command()
+@command()
 @click.argument("place", type=PlaceText(), default="*/*")
 @click.option("--pdos", is_flag=True, help="The PDOs, too: many lines.")
 @lasting()
 @joining
-@common
-def watch(
-    settings: Settings, place: FleetPlace, pdos: bool, seconds: float | None, connect: tuple[str, ...], config: Path | None
-) -> None:
+def watch(settings: Settings, screen: Screen, place: FleetPlace, pdos: bool, seconds: float, way_in: WayIn) -> None:
     """Tell what happens in a fleet, until Ctrl-C: who comes and goes, states, emergencies.
 
     PLACE is SITE/BUS, for all of a bus, or SITE/BUS/NODE; * stands for each. All by default.
@@ -35,12 +30,11 @@ def watch(
     \b
     canopen fleet watch 'hall-2/*' --pdos
     """
-    screen = settings.screen()
     kinds: tuple[type[FleetNews], ...] = (PlaceAppeared, PlaceGone, FleetState, FleetEmcy, *((FleetPdo,) if pdos else ()))
 
     async def look() -> None:
-        async with joined(connect, config) as fleet:
-            with fleet.news(*kinds) as news, trio.move_on_after(math.inf if seconds is None else seconds):
+        async with joined(way_in) as fleet:
+            with fleet.news(*kinds) as news, trio.move_on_after(seconds):
                 screen.say(f"{counted(len(fleet.buses), 'bus')}, {counted(len(fleet.nodes), 'node')}; what happens from now on:")
                 async for event in news:
                     if _is_about(event.place, place):

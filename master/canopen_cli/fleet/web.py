@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
 from typing import Final
 
-import click
 import trio
 
-from canopen_cli.fleet.joining import joining
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.fleet.joining import WayIn, joining
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.web_address import BindDoor, web_address
 from canopen_gateway import Guard, Permission
-from canopen_gateway.fleet import open_fleet
-from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
 from canopen_gateway.web import WebDoor
 
 NOT_OVER_A_FLEET: Final = {
@@ -27,19 +22,18 @@ NOT_OVER_A_FLEET: Final = {
 }
 
 
-@click.command()
+@command()
 @web_address
 @allowing
 @lasting()
 @joining
-@common
 def web(
     settings: Settings,
+    screen: Screen,
     bind_door: BindDoor,
     allow: frozenset[Permission],
-    seconds: float | None,
-    connect: tuple[str, ...],
-    config: Path | None,
+    seconds: float,
+    way_in: WayIn,
 ) -> None:
     """Serve the machines of a fleet as a page in a browser, and by HTTP, until Ctrl-C. Needs the extras `web` and `fleet`.
 
@@ -52,18 +46,16 @@ def web(
     canopen fleet web --connect tcp/192.168.1.20:7447
     canopen fleet web --connect tls/plant:7447 --zenoh office.json5 --allow write
     """
-    screen = settings.screen()
     for never in sorted(NOT_OVER_A_FLEET.keys() & allow, key=lambda each: each.value):
         tries = (f"the same without {never.value}", "canopen serve web, on the computer that has the bus")
         raise usage("CO123", f"--allow {never.value}: not over a fleet, since {NOT_OVER_A_FLEET[never]}", tries=tries)
-    endpoints = connect or (() if config is not None else (DEFAULT_ENDPOINT,))
 
     @first_error()
     async def serve() -> None:
         door = await bind_door()
-        async with door, open_fleet(connect=endpoints, config=config) as fleet:
-            _tell(settings, screen, door, allow, endpoints)
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+        async with door, way_in.open() as fleet:
+            _tell(settings, screen, door, allow, way_in.connect)
+            with trio.move_on_after(seconds):
                 await door.serve_fleet(fleet, allow)
         if door.failure is not None:
             raise door.failure

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import click
 
 from canopen_cli.live.window import time_of_day
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import NodeIds, option_group
+from canopen_cli.shared.options import NodeIds, together
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen
 from canopen_master.monitor_words import SERVICES, finding_text, is_of_service, service_word
@@ -98,7 +98,19 @@ class Buses:
 # ---- which frames ----
 
 
-choosing: Final = option_group(
+class WantedFrames(NamedTuple):
+    """The frames that the options of `choosing` name. nodes: None for all of them; no services and no objects: all. changes: only
+    frames that differ from the last one of their kind, in these objects."""
+
+    nodes: tuple[int, ...] | None = None
+    services: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ()
+    changes: bool = False
+
+
+choosing: Final = together(
+    "wanted",
+    WantedFrames,
     click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8."),
     click.option(
         "--service",
@@ -120,17 +132,15 @@ choosing: Final = option_group(
         help="Leave out a frame that says the same as the last one of its kind (with --object: of these objects).",
     ),
 )
-"""The options that choose frames. The command takes `nodes`, `services`, `objects` and `changes`; see FrameChoice."""
+"""The options that choose frames. The command takes `wanted`: WantedFrames."""
 
 
 class FrameChoice:
     """The frames that are shown."""
 
-    def __init__(
-        self, files: NodeFiles, nodes: tuple[int, ...] | None, services: Iterable[str], objects: Iterable[str], changes: bool
-    ) -> None:
-        """nodes: None for all of them; no services and no objects: all. Raises CommandError, ObjectNotFoundError for a word that
-        fits nothing. changes: only frames that differ from the last one of their kind, in these objects."""
+    def __init__(self, files: NodeFiles, wanted: WantedFrames) -> None:
+        """Raises CommandError, ObjectNotFoundError for a word that fits nothing."""
+        nodes, services, objects, changes = wanted
         self.files = files
         self._has_parts = files.settings.verbosity > 0 or files.settings.json
         self._nodes = frozenset(nodes or ())
@@ -277,9 +287,7 @@ class FrameLines:
         """Return the line for what is wrong because no frame comes. seconds: since the first frame."""
         if self._json:
             return json_text({"time": time, "channel": channel, "findings": [finding._asdict()]}) + "\n"
-        return self._line(
-            "! ", f"{self._at(seconds, time, 4).strip()}{'' if self._clock else ' s'}: {finding_text(finding)}", _FINDING
-        )
+        return self._line("! ", f"{self._words(seconds, time)}: {finding_text(finding)}", _FINDING)
 
     def summary(self, time: Time, channel: str, summary: Summary) -> str:
         """Return the line that sums up a sequence of frames. time: of the frame that it comes with."""
@@ -294,11 +302,7 @@ class FrameLines:
         if self._json:
             lost = report.lost if isinstance(report, ReceiveOverrun) else 0
             return json_text({"time": time, "report": report.failed, "seen": report.seen, "lost": lost}) + "\n"
-        return self._line(
-            "! ",
-            clean(f"{self._at(seconds, time, 4).strip()}{'' if self._clock else ' s'}: {report.failed}: {report.seen}"),
-            _FINDING,
-        )
+        return self._line("! ", clean(f"{self._words(seconds, time)}: {report.failed}: {report.seen}"), _FINDING)
 
     def gap(self, number: int) -> str:
         """Return the line in place of frames that the reader was too slow for. number: how many."""

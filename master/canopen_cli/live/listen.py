@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import click
 import trio
 
 from canopen_cli.bus.doctor import LISTEN, LISTENING, bitrates_too, hear, heard_as_json, show_heard, status_of, try_bitrates
 from canopen_cli.live.top_view import BusShown, TopView, as_json, plain
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import DEMO, Settings, common, lasting
+from canopen_cli.shared.options import DEMO, Settings, command, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
-from canopen_cli.shared.session import read_dictionary
 from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND
@@ -24,11 +22,10 @@ from canopen_transports.receive_test import NO_WIRE
 from canopen_transports.stamp_clock import StampClock
 
 
-@click.command()
+@command()
 @bitrates_too
 @lasting(LISTENING, low=0.1, high=3600, default=LISTEN)
-@common
-def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
+def listen(settings: Settings, screen: Screen, bitrates: bool, seconds: float) -> int:
     """Hear who is on a bus, and with --bitrates find its bit rate. Nothing is sent.
 
     An adapter with a listen-only mode (pcan, slcan, kvaser, vector ...) does not even acknowledge frames. Exit status: 0 frames
@@ -38,9 +35,8 @@ def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
     canopen listen -b pcan:PCAN_USBBUS1 --bitrates
     canopen listen -b socketcan:can0 --for 10s
     """
-    screen = settings.screen()
     bus = settings.required_bus()
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     if bitrates:
         found = run(settings, screen, lambda: try_bitrates(screen, bus, seconds))
         if found is None:

@@ -11,20 +11,19 @@ import click
 import trio
 
 from canopen_cli.live import log_diff, log_export, log_plot, log_record
-from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosing
+from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, WantedFrames, choosing
 from canopen_cli.live.monitor import FrameMonitor
 from canopen_cli.live.reading import FileReading, watched
 from canopen_cli.live.source import FILE_OR_INPUT, frames_of, rate_of, reader_of, tell_skipped
-from canopen_cli.live.window import When, Window, clocked, time_of_day, windowed
+from canopen_cli.live.window import Window, clocked, time_of_day, windowed
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.options import FILE, Settings, command, commanding
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run, same_file
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_cli.shared.session import read_dictionary
 from canopen_master.monitor_words import event_text, finding_text
 from canopen_master.plain_text import json_text
 from canopen_proto.frame_bits import frame_bits
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
-FILE: Final = click.Path(dir_okay=False, path_type=Path)
 LEAST_SPAN: Final = SECOND
 """From the first frame to the last, in ns: a few frames in less time come at once, and say nothing about a second."""
 
@@ -58,24 +56,22 @@ for each in (log_record.record, log_export.export, log_plot.plot, log_diff.diff)
     log.add_command(each)
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @windowed
-@common
-def convert(settings: Settings, source: Path, target: Path, since: When | None, until: When | None) -> int:
+def convert(settings: Settings, screen: Screen, source: Path, target: Path, window: Window) -> int:
     """Convert a log file to another kind, which the names tell. Records that this kind cannot hold are counted.
 
     \b
     canopen log convert trace.blf trace.log
     canopen log convert trace.log short.log --since 12:00:05 --until 12:01:00
     """
-    screen = settings.screen()
     if same_file(source, target):
         raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
     check_new_file(settings, screen, target)
     reader, kind = LogReader(source), kind_of(target)
-    records = watched(screen, reader, records_in(reader, Window(since, until)))
+    records = watched(screen, reader, records_in(reader, window))
     first = list(islice(records, 1))  # if the source cannot be read, an older target stays
     writer = log_writer(target)
     count = 0
@@ -102,24 +98,20 @@ def convert(settings: Settings, source: Path, target: Path, since: When | None, 
     return ExitCode.OK
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE)
 @click.option("--speed", default="1", show_default=True, metavar="FACTOR", help="10 is ten times as fast; max: without waiting.")
 @click.option("--only-sent", is_flag=True, help="Only what the recorder sent, such as a master's side.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
-def replay(
-    settings: Settings, source: Path, speed: str, only_sent: bool, yes: bool, since: When | None, until: When | None
-) -> None:
+def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_sent: bool, yes: bool, window: Window) -> None:
     """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
 
     \b
     canopen log replay trace.log -b socketcan:vcan0                  a bus with a wire asks first
     canopen log replay trace.log -b can0 --since 12s --dry-run    what would be sent, in words; the bus is not opened
     """
-    screen = settings.screen()
     bus = settings.required_bus("-b tcp                         the bus of `canopen bus serve`")
     try:
         factor = None if speed == "max" else float(speed)
@@ -129,7 +121,7 @@ def replay(
         raise usage("CO001", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
     reader = LogReader(source)
     if settings.dry_run:
-        _show_replay(settings, screen, (each for each in records_in(reader, Window(since, until)) if each.sent or not only_sent))
+        _show_replay(settings, screen, (each for each in records_in(reader, window) if each.sent or not only_sent))
         tell_skipped(screen, reader)
         return
     confirm(screen, f"send the frames of {source} on {bus}: DRIVES MAY MOVE", yes, needed=_may_have_drives(bus))
@@ -138,7 +130,7 @@ def replay(
         count = 0
         async with await open_transport(bus) as transport:
             start, first = trio.current_time(), None
-            for record in FileReading(screen, reader, records_in(reader, Window(since, until)), look_each=1):
+            for record in FileReading(screen, reader, records_in(reader, window), look_each=1):
                 first = record.time if first is None else first
                 if factor is not None:
                     await trio.sleep_until(start + (record.time - first) / SECOND / factor)
@@ -154,12 +146,11 @@ def replay(
         screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("--bitrate", metavar="RATE", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
 @windowed
-@common
-def stats(settings: Settings, source: Path, bitrate: str, since: When | None, until: When | None) -> None:
+def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window: Window) -> None:
     """Count the frames of a file: number, rate and bus load of each CAN-ID.
 
     Rates are those of the part that --since and --until name; else from the first frame to the last, if that is a second.
@@ -168,9 +159,8 @@ def stats(settings: Settings, source: Path, bitrate: str, since: When | None, un
     canopen log stats trace.log
     canopen log stats trace.log --bitrate 1M --since 10s --until 20s
     """
-    screen = settings.screen()
     rate = rate_of(bitrate)
-    reader, observer, window = reader_of(source), Observer(), Window(since, until)
+    reader, observer = reader_of(source), Observer()
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
@@ -213,23 +203,12 @@ def stats(settings: Settings, source: Path, bitrate: str, since: When | None, un
     tell_skipped(screen, reader)
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @choosing
 @windowed
 @clocked
-@common
-def decode(
-    settings: Settings,
-    source: Path,
-    nodes: tuple[int, ...] | None,
-    services: tuple[str, ...],
-    objects: tuple[str, ...],
-    changes: bool,
-    since: When | None,
-    until: When | None,
-    clock: bool,
-) -> None:
+def decode(settings: Settings, screen: Screen, source: Path, wanted: WantedFrames, window: Window, clock: bool) -> None:
     """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
 
     PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. A line that begins
@@ -242,15 +221,14 @@ def decode(
     canopen log decode trace.log --clock --since 12:00:05 --until 12:00:06
     candump can0 | canopen log decode -
     """
-    screen = settings.screen()
-    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = FrameMonitor(settings, screen, choice, source, Window(since, until), clock=clock)
+    choice = FrameChoice(NodeFiles(settings, screen), wanted)
+    watch = FrameMonitor(settings, screen, choice, source, window, clock=clock)
     run(settings, screen, watch.show, reads=source)
     watch.tell_passed_over()
     watch.tell_skipped()
 
 
-@log.command()
+@command(group=log)
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("--bitrate", metavar="RATE", default="", help="Look at the load of the bus, too: 1M, 250k.")
 @click.option(
@@ -263,10 +241,7 @@ def decode(
 )
 @windowed
 @clocked
-@common
-def check(
-    settings: Settings, source: Path, bitrate: str, limit: float, since: When | None, until: When | None, clock: bool
-) -> int:
+def check(settings: Settings, screen: Screen, source: Path, bitrate: str, limit: float, window: Window, clock: bool) -> int:
     """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
 
     All in the order of time: boot-ups, emergencies, drives in fault, nodes that fell silent and came back, aborted SDO transfers.
@@ -281,9 +256,8 @@ def check(
     canopen log check trace.log
     canopen log check trace.log -e 5=drive.eds --bitrate 500k
     """
-    screen = settings.screen()
     rate = rate_of(bitrate) if bitrate else 0
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     reader, buses = reader_of(source), Buses(files, bitrate=rate, load_limit=limit / 100)
     stories: dict[str, Story] = {}  # by channel
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
@@ -297,7 +271,7 @@ def check(
         except LogFileError as error:  # what could be read is told: a recorder that was killed leaves half a line
             failure = error
 
-    window, first, is_begun = Window(since, until), None, False
+    first, is_begun = None, False
     reading = FileReading(screen, reader, readable())
     for number, record in enumerate(reading, 1):
         first = record.time if first is None else first
@@ -369,7 +343,7 @@ def _may_have_drives(bus: str) -> bool:
 
 def _show_replay(settings: Settings, screen: Screen, records: Iterable[Record]) -> None:
     """Show the frames that would be sent, each in words."""
-    lines, buses, count = FrameLines(screen), Buses(NodeFiles(settings, screen, read_dictionary(screen))), 0
+    lines, buses, count = FrameLines(screen), Buses(NodeFiles(settings, screen)), 0
     for count, record in enumerate(records, 1):
         if count % 256 == 0:
             screen.check_reader()

@@ -8,17 +8,17 @@ from typing import Any, Final, NamedTuple
 
 import click
 
-from canopen_cli.live.log_values import Choosing, LoggedValue, values_in
+from canopen_cli.live.frame_lines import WantedFrames
+from canopen_cli.live.log_values import LoggedValue, values_in
 from canopen_cli.live.reading import watched
 from canopen_cli.live.source import frames_of, reader_of
-from canopen_cli.live.window import When, Window, windowed
-from canopen_cli.shared.options import NodeIds, Settings, common
+from canopen_cli.live.window import Window, windowed
+from canopen_cli.shared.options import FILE, NodeIds, Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.observer import Observer
 
-FILE: Final = click.Path(dir_okay=False, path_type=Path)
 COLUMNS: Final = ("what", "one", "other")
 
 
@@ -40,7 +40,7 @@ class Traffic(NamedTuple):
     values: dict[str, LoggedValue]
 
 
-@click.command("diff")
+@command("diff")
 @click.argument("one", metavar="ONE", type=FILE)
 @click.argument("other", metavar="OTHER", type=FILE)
 @click.option("--node", "nodes", type=NodeIds(), help="Only values of these nodes: 5, or 3-8.")
@@ -48,15 +48,8 @@ class Traffic(NamedTuple):
     "--rate", type=click.FloatRange(0), default=20.0, metavar="PERCENT", help="By how much rates may differ.  [default: 20]"
 )
 @windowed
-@common
 def diff(
-    settings: Settings,
-    one: Path,
-    other: Path,
-    nodes: tuple[int, ...] | None,
-    rate: float,
-    since: When | None,
-    until: When | None,
+    settings: Settings, screen: Screen, one: Path, other: Path, nodes: tuple[int, ...] | None, rate: float, window: Window
 ) -> int:
     """Compare two recordings: CAN-IDs that only one has, rates, and the last values of objects. Exit status: 1 with differences.
     --since and --until are those of each recording.
@@ -65,8 +58,7 @@ def diff(
     canopen log diff before.log after.log
     canopen log diff good.log bad.log -e 5=drive.eds --node 5
     """
-    screen = settings.screen()
-    first, second = (_traffic(settings, screen, each, nodes, Window(since, until)) for each in (one, other))
+    first, second = (_traffic(settings, screen, each, nodes, window.again()) for each in (one, other))
     found = [*_rates(first, second, rate / 100), *_values(first, second)]
     if settings.json:
         screen.json({"one": str(one), "other": str(other), "differences": [each._asdict() for each in found]})
@@ -96,7 +88,7 @@ def _traffic(settings: Settings, screen: Screen, source: Path, nodes: tuple[int,
             service = "heartbeat" if meaning.service == "boot-up" else meaning.service
             names[key] = f"{service} of node {meaning.node_id}" if meaning.node_id else service
     seconds = max((last or 0) - (begun or 0), SECOND) / SECOND
-    values = {value.label: value for value in values_in(settings, screen, source, Choosing(nodes, (), (), False, window))}
+    values = {value.label: value for value in values_in(settings, screen, source, WantedFrames(nodes), window)}
     return Traffic({key: count / seconds for key, count in counts.items()}, names, values)
 
 

@@ -11,14 +11,14 @@ from typing import IO, Any, Final
 
 import click
 
-from canopen_cli.live.frame_lines import choosing
-from canopen_cli.live.log_values import Choosing, LoggedValue, values_in
+from canopen_cli.live.frame_lines import WantedFrames, choosing
+from canopen_cli.live.log_values import LoggedValue, values_in
 from canopen_cli.live.source import FILE_OR_INPUT
-from canopen_cli.live.window import When, Window, windowed
+from canopen_cli.live.window import Window, windowed
 from canopen_cli.shared.new_files import check_new_file, new_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.motion.record_files import pyarrow_modules
 from canopen_proto.machine import SECOND
 
@@ -31,24 +31,14 @@ ROWS: Final = 65_536
 """Rows that are written at once as Parquet."""
 
 
-@click.command("export")
+@command("export")
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("-o", "--output", required=True, metavar="OUT", help="The table: .csv or .parquet.")
 @click.option("--wide", is_flag=True, help="A column for each object, with its last value; else a row for each value.")
 @choosing
 @windowed
-@common
 def export(
-    settings: Settings,
-    source: Path,
-    output: str,
-    wide: bool,
-    nodes: tuple[int, ...] | None,
-    services: tuple[str, ...],
-    objects: tuple[str, ...],
-    changes: bool,
-    since: When | None,
-    until: When | None,
+    settings: Settings, screen: Screen, source: Path, output: str, wide: bool, wanted: WantedFrames, window: Window
 ) -> None:
     """Write the values in a recording into a table: those of PDOs and SDO transfers. Times are those of the recording, in UTC.
 
@@ -60,7 +50,6 @@ def export(
     canopen log export trace.log -o run.parquet --node 5 --object statusword --object 6064
     canopen log export trace.log -o run.csv --wide --service tpdo --since 10s --until 20s
     """
-    screen = settings.screen()
     kind = Path(output).suffix.lower()
     if kind not in (CSV, PARQUET):
         raise usage(
@@ -73,7 +62,7 @@ def export(
     if kind == PARQUET:
         pyarrow_modules(output)
     check_new_file(settings, screen, output, str(source))
-    values = values_in(settings, screen, source, Choosing(nodes, services, objects, changes, Window(since, until)))
+    values = values_in(settings, screen, source, wanted, window)
     with new_file(output) as file:
         count = _write_parquet(file, values, output) if kind == PARQUET else _write_csv(file, values, wide=wide)
     if settings.json:

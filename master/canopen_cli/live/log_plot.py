@@ -7,14 +7,15 @@ from typing import Any, NamedTuple
 
 import click
 
-from canopen_cli.live.log_values import Choosing, values_in
+from canopen_cli.live.frame_lines import WantedFrames
+from canopen_cli.live.log_values import values_in
 from canopen_cli.live.source import FILE_OR_INPUT
-from canopen_cli.live.window import When, Window, windowed
+from canopen_cli.live.window import Window, windowed
 from canopen_cli.plot.cycles import INK, check_plot, save, style, write_titles
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import NodeIds, Settings, common
+from canopen_cli.shared.options import FILE, NodeIds, Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 
 
 class Curve(NamedTuple):
@@ -26,23 +27,20 @@ class Curve(NamedTuple):
     values: list[float]
 
 
-@click.command("plot")
+@command("plot")
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.argument("objects", metavar="OBJECT...", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
-)
+@click.option("-o", "--output", type=FILE, help="The picture: .png, .svg, .pdf.  [default: FILE.png]")
 @click.option("--node", "nodes", type=NodeIds(), help="Only of these nodes: 5, or 3-8.")
 @windowed
-@common
 def plot(
     settings: Settings,
+    screen: Screen,
     source: Path,
     objects: tuple[str, ...],
     output: Path | None,
     nodes: tuple[int, ...] | None,
-    since: When | None,
-    until: When | None,
+    window: Window,
 ) -> None:
     """Draw the values of objects in a recording over time: each in a row of its own, as a step from value to value.
 
@@ -50,12 +48,11 @@ def plot(
     canopen log plot trace.log statusword 6064
     canopen log plot trace.log 6064 --node 5 --since 10s -o run.svg
     """
-    screen = settings.screen()
     target = source.with_suffix(".png") if output is None else output
     check_plot(target)
     check_new_file(settings, screen, target, str(source))
     found: dict[str, Curve] = {}
-    for value in values_in(settings, screen, source, Choosing(nodes, (), objects, False, Window(since, until))):
+    for value in values_in(settings, screen, source, WantedFrames(nodes, objects=objects), window):
         if value.number is not None:
             curve = found.setdefault(value.label, Curve(value.label, value.unit, [], []))
             curve.seconds.append(value.seconds)
@@ -89,10 +86,6 @@ def _draw(path: Path, title: str, curves: list[Curve]) -> None:
     grid[-1][0].set_xlabel("time in s", color=INK, fontsize=9)
     write_titles(figure, title, counted(len(curves), "object"))
     save(figure, path)
-
-
-def _row(curve: Curve) -> tuple[str, ...]:
-    return escape(curve.label), *map(_shown, (min(curve.values), max(curve.values), len(curve.values)))
 
 
 def _shown(number: float) -> str:

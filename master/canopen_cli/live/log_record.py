@@ -11,15 +11,14 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing
+from canopen_cli.live.frame_lines import Buses, FrameChoice, WantedFrames, choosing
 from canopen_cli.live.source import open_live_source
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, Settings, common, lasting, until_text
+from canopen_cli.shared.options import FILE, Duration, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_cli.shared.session import read_dictionary
 from canopen_cli.shared.time_left import time_left
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.log_files import LOSSES, log_writer
@@ -29,25 +28,16 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 """Of the time in the name of each file, with --rotate."""
 
 
-@click.command("record")
-@click.argument("target", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path))
+@command("record")
+@click.argument("target", metavar="FILE", type=FILE)
 @choosing
 @click.option(
     "--rotate", type=Duration(SECOND), help="Begin a new file each time: 1h. Its name has the time: trace-20260301-120000.log."
 )
 @click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files stay; the oldest is deleted.")
 @lasting()
-@common
 def record(
-    settings: Settings,
-    target: Path,
-    nodes: tuple[int, ...] | None,
-    services: tuple[str, ...],
-    objects: tuple[str, ...],
-    changes: bool,
-    rotate: Time | None,
-    keep: int | None,
-    seconds: float | None,
+    settings: Settings, screen: Screen, target: Path, wanted: WantedFrames, rotate: Time | None, keep: int | None, seconds: float
 ) -> int:
     """Write what passes on a bus into a file, until Ctrl-C. Nothing is sent.
 
@@ -58,7 +48,6 @@ def record(
     canopen log record trace.log -b can0 --node 5 --service emcy,sdo
     canopen log record trace.log -b can0 --rotate 1h --keep 24
     """
-    screen = settings.screen()
     if target.suffix.lower() not in LOSSES and target.suffix.lower() != ".txt":
         raise usage(
             "CO123",
@@ -69,13 +58,13 @@ def record(
         raise usage("CO001", "--keep goes with --rotate", tries=("--rotate 1h --keep 24",))
     if rotate is None:
         check_new_file(settings, screen, target)
-    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    choice = FrameChoice(NodeFiles(settings, screen), wanted)
     files = _Files(target, rotate, keep)
 
     async def listen() -> None:
         try:
             async with time_left(screen, "recording", seconds):
-                with trio.move_on_after(math.inf if seconds is None else seconds):
+                with trio.move_on_after(seconds):
                     await _record(settings, screen, choice, files, seconds)
         finally:
             files.close()
@@ -141,7 +130,7 @@ class _Files:
             writer.close()
 
 
-async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files, seconds: float | None) -> None:
+async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files, seconds: float) -> None:
     async with open_live_source(settings, None) as live:
         screen.say(f"[bold]{escape(live.name)}[/], {until_text(seconds)}; nothing is sent")
         buses = Buses(choice.files)

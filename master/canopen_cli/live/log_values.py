@@ -6,16 +6,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from canopen_cli.live.frame_lines import Buses, FrameChoice
+from canopen_cli.live.frame_lines import Buses, FrameChoice, WantedFrames
 from canopen_cli.live.reading import watched
 from canopen_cli.live.source import frames_of, reader_of, tell_skipped
 from canopen_cli.live.window import Window
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import read_dictionary
 from canopen_cli.shared.values import physical, plain_json
 from canopen_proto.machine import Time
 from canopen_proto.observer.meaning import ShownObject
@@ -50,26 +49,16 @@ class LoggedValue:
         return None if self.shown.value is None else plain_json(self.shown.value)
 
 
-class Choosing(NamedTuple):
-    """What of a recording is wanted; see `choosing` and `windowed`."""
-
-    nodes: tuple[int, ...] | None
-    services: tuple[str, ...]
-    objects: tuple[str, ...]
-    changes: bool
-    window: Window
-
-
-def values_in(settings: Settings, screen: Screen, source: Path, wanted: Choosing) -> Iterator[LoggedValue]:
+def values_in(settings: Settings, screen: Screen, source: Path, wanted: WantedFrames, window: Window) -> Iterator[LoggedValue]:
     """Yield the values in a recording that are wanted, in their order. Raises CommandError, LogFileError, ObjectNotFoundError."""
-    files = NodeFiles(settings, screen, read_dictionary(screen))
-    choice = FrameChoice(files, *wanted[:4])
+    files = NodeFiles(settings, screen)
+    choice = FrameChoice(files, wanted)
     reader, buses = reader_of(source), Buses(files)
     first: Time | None = None
     for record in watched(screen, reader, frames_of(reader)):
         first = record.time if first is None else first
         seconds, observation = buses.observe(record)
-        if not (wanted.window.has(record.time, first) and choice.shows(record, observation)):
+        if not (window.has(record.time, first) and choice.shows(record, observation)):
             continue
         meaning = observation.meaning
         for shown in meaning.objects:
@@ -77,5 +66,5 @@ def values_in(settings: Settings, screen: Screen, source: Path, wanted: Choosing
                 variable = files.dictionary_of(shown.node_id).get(shown.index, shown.subindex) if shown.node_id else None
                 number = None if variable is None else physical(variable, shown.value)
                 yield LoggedValue(record, seconds, meaning.service, shown, number, "" if variable is None else variable.unit)
-    wanted.window.require(source)
+    window.require(source)
     tell_skipped(screen, reader)

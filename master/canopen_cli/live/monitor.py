@@ -6,19 +6,17 @@ import math
 from pathlib import Path
 from typing import Final
 
-import click
 import trio
 
-from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosing
+from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, WantedFrames, choosing
 from canopen_cli.live.line_writer import LineWriter, open_line_writer
 from canopen_cli.live.source import Heard, LiveSource, no_file, open_live_source, recorded, tell_skipped
 from canopen_cli.live.window import Window, clocked
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common, lasting, until_text
+from canopen_cli.shared.options import Settings, command, lasting, until_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_cli.shared.session import read_dictionary
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.record import Record
@@ -29,23 +27,13 @@ LATE: Final = SECOND // 4
 """Longer than a frame is on its way from the bus to us."""
 
 
-@click.command()
+@command()
 @no_file
 @recorded
 @choosing
 @clocked
 @lasting()
-@common
-def monitor(
-    settings: Settings,
-    source: Path | None,
-    nodes: tuple[int, ...] | None,
-    services: tuple[str, ...],
-    objects: tuple[str, ...],
-    changes: bool,
-    clock: bool,
-    seconds: float | None,
-) -> int:
+def monitor(settings: Settings, screen: Screen, source: Path | None, wanted: WantedFrames, clock: bool, seconds: float) -> int:
     """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
 
     PDOs are shown by the mapping that was heard, else by the devices' own files, else by PDOs.csv. A line that begins with ! says
@@ -59,13 +47,12 @@ def monitor(
     canopen monitor --log trace.log                      a recording, as canopen log decode shows it
     candump can0 | canopen monitor --log -
     """
-    screen = settings.screen()
-    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    choice = FrameChoice(NodeFiles(settings, screen), wanted)
     watch = FrameMonitor(settings, screen, choice, source, clock=clock, seconds=seconds)
 
     async def show() -> None:
         try:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await watch.show()
         finally:
             watch.tell_counts()
@@ -86,10 +73,10 @@ class FrameMonitor:
         window: Window | None = None,
         *,
         clock: bool = False,
-        seconds: float | None = None,
+        seconds: float = math.inf,
     ) -> None:
         """window: what is shown of a recording; all of it is understood. clock: times of day in place of seconds. seconds: how
-        long a bus will be shown; None: until Ctrl-C."""
+        long a bus will be shown; inf: until Ctrl-C."""
         self._seconds = seconds
         self._window = Window() if window is None else window
         self._clock = clock

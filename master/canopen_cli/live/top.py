@@ -18,11 +18,10 @@ from canopen_cli.live.screen import LiveScreen
 from canopen_cli.live.source import LiveSource, no_file, open_live_source, rate_of, recorded
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import read_dictionary
 from canopen_cli.shared.time_left import time_left
 from canopen_proto.machine import Time
 from canopen_proto.observer.bus_view import BusView
@@ -39,15 +38,14 @@ MAX_BUSES: Final = 16
 """Buses of a file: a gateway has fewer."""
 
 
-@click.command()
+@command()
 @no_file
 @recorded
 @click.option("--once", is_flag=True, help=f"Print one table, and end. Of a bus after {LISTENING:g} s, or --for.")
 @click.option("--sort", type=click.Choice(list(SORTS)), default="node", show_default=True, help="The order of the nodes.")
 @click.option("--bitrate", metavar="RATE", default="", help="For the load, where the bus does not tell it: 1M, 250k.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
-@common
-def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate: str, seconds: float | None) -> None:
+def top(settings: Settings, screen: Screen, source: Path | None, once: bool, sort: str, bitrate: str, seconds: float) -> None:
     """Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong. Nothing is sent.
 
     On a terminal the picture fills the screen, until q or Ctrl-C; p holds it, s sorts, b shows the next bus of a file. In a pipe,
@@ -58,10 +56,9 @@ def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate:
     canopen top --log trace.log
     ssh gateway candump -L can0 | canopen top --log -
     """
-    screen = settings.screen()
     rate = rate_of(bitrate) if bitrate else 0
     is_drawn = screen.out.is_terminal and not screen.out.is_dumb_terminal and not (once or settings.json)
-    if source is None and not is_drawn and seconds is None:
+    if source is None and not is_drawn and seconds == math.inf:
         seconds = LISTENING
     command = _Top(settings, screen, sort, rate)
     run_until_interrupted(settings, screen, partial(command.show, source, seconds, is_drawn))
@@ -82,7 +79,7 @@ class _Top:
 
     def __init__(self, settings: Settings, screen: Screen, sort: str, bitrate: int) -> None:
         self._settings, self._screen = settings, screen
-        self._files = NodeFiles(settings, screen, read_dictionary(screen))
+        self._files = NodeFiles(settings, screen)
         self._bitrate = bitrate
         self._buses: dict[str, _ObservedBus] = {}
         self._sorts = list(SORTS)
@@ -125,11 +122,11 @@ class _Top:
 
     # ---- what is shown ----
 
-    async def show(self, source: Path | None, seconds: float | None, is_drawn: bool) -> None:
+    async def show(self, source: Path | None, seconds: float, is_drawn: bool) -> None:
         """Listen, and show what comes: until its end, the time, or a key."""
 
         async def for_a_time() -> None:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await self.listen(source, None if is_drawn else self._screen)
 
         failure: LogFileError | None = None
@@ -147,7 +144,7 @@ class _Top:
         if failure is not None:
             raise failure
 
-    async def _show(self, work: Callable[[], Awaitable[None]], seconds: float | None, is_drawn: bool, is_live: bool) -> None:
+    async def _show(self, work: Callable[[], Awaitable[None]], seconds: float, is_drawn: bool, is_live: bool) -> None:
         if is_drawn:
             keys = {"s": self._next_sort, "b": self._next_bus, "\t": self._next_bus}
             await LiveScreen(self._screen, self._view, _draw, keys, REFRESH).during(work)

@@ -23,11 +23,11 @@ from canopen_cli.live.watch_view import Around, picture, plain
 from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, NodeOfObject, Settings, common, lasting, with_named_object
+from canopen_cli.shared.options import Duration, NodeOfObject, Settings, command, lasting, with_named_object
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
-from canopen_cli.shared.session import open_session, read_dictionary
+from canopen_cli.shared.session import open_session
 from canopen_cli.shared.values import TYPES, as_json, find_object, object_json, physical, place_text
 from canopen_master.participant.bus import BusChanged, FramesLost
 from canopen_master.plain_text import clean, json_text
@@ -54,7 +54,7 @@ STALE_AFTER: Final = 3
 """Periods of --every without a new value after which a value is stale."""
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("keys", metavar="OBJECT...", nargs=-1)
 @click.option("--402", "drive", is_flag=True, help="What a drive shows: state, mode, position, velocity, torque, errors.")
@@ -72,9 +72,9 @@ STALE_AFTER: Final = 3
 @click.option("--plot", is_flag=True, help=f"Draw the last {SPAN:g} s of each number below the table.")
 @lasting("End after this time, instead of by q or Ctrl-C: 10s.")
 @click.option("--type", "type_name", type=click.Choice(list(TYPES)), help="Of objects that the dictionary does not have.")
-@common
 def watch(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     keys: tuple[str, ...],
     drive: bool,
@@ -84,7 +84,7 @@ def watch(
     channel: str | None,
     csv_path: str | None,
     plot: bool,
-    seconds: float | None,
+    seconds: float,
     type_name: str | None,
 ) -> None:
     """Show the values of a node's objects, live.
@@ -101,12 +101,11 @@ def watch(
     canopen watch 5 6064 --log trace.log
     ssh gateway candump -L can0 | canopen watch 5 6041 --log -
     """
-    screen = settings.screen()
     keys = keys if drive and not keys else with_named_object(keys, node_id)
     if csv_path is not None:
         check_new_file(settings, screen, csv_path)
         check_writable(csv_path)
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     dictionary, variables = _objects(files.dictionary_of(node_id), keys, drive, type_name)
     watched = Watched(node_id, dictionary, variables, STALE_AFTER * every, round(SPAN * SECOND) if plot else 0)
     drives = (node_id,) if any(axis_of(each.mux) is not None for each in variables) else ()
@@ -243,11 +242,11 @@ class _Watching:
 
     # ---- what is shown ----
 
-    async def show(self, work: Callable[[], Awaitable[None]], seconds: float | None) -> None:
+    async def show(self, work: Callable[[], Awaitable[None]], seconds: float) -> None:
         """Do the work, and show what comes: until its end, the time, or a key."""
 
         async def for_a_time() -> None:
-            with trio.move_on_after(math.inf if seconds is None else seconds):
+            with trio.move_on_after(seconds):
                 await work()
 
         failure: LogFileError | None = None

@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 
 import click
 
-from canopen_cli.shared.options import TextKind, option_group
+from canopen_cli.shared.options import TextKind, option_group, together
 from canopen_cli.shared.problem import usage
 from canopen_data.durations import parse_duration
 from canopen_proto.machine import SECOND, Time
@@ -63,6 +63,10 @@ class Window:
         self._span: tuple[Time, Time] | None = None
         if type(since) is type(until) is not datetime.time and since is not None and until < since:  # type: ignore[operator]
             raise usage("CO001", "--until is before --since", tries=("--since 10s --until 20s",))
+
+    def again(self) -> Window:
+        """Return the same part, for another recording."""
+        return Window(self.since, self.until)
 
     def has(self, time: Time, first: Time) -> bool:
         """Return whether a record is in it. time: its own; first: that of the first record, both in ns. Raises a CommandError if
@@ -116,7 +120,9 @@ def _at(moment: When | None, first: Time, default: float) -> float:
     return day.timestamp() * SECOND
 
 
-windowed: Final = option_group(
+windowed: Final = together(
+    "window",
+    Window,
     click.option(
         "--since",
         metavar="MOMENT",
@@ -125,7 +131,7 @@ windowed: Final = option_group(
     ),
     click.option("--until", metavar="MOMENT", type=Moment(), help="Only what is not behind this time."),
 )
-"""The options for a part of a recording. The command takes `since` and `until`."""
+"""The options for a part of a recording. The command takes `window`."""
 
 clocked: Final = option_group(click.option("--clock", is_flag=True, help="Times of day, not seconds since the first frame."))
 """The option for times by the clock. The command takes `clock`."""

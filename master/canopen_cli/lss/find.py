@@ -19,39 +19,28 @@ from canopen_cli.lss.support import (
     selected,
     windowed,
 )
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import identity_json
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
-from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Survey, all_waiting, search, survey
+from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Known, Survey, all_waiting, search, survey
 from canopen_proto.machine import Time
 
 COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
 
 
-@click.command()
+@command()
 @knowing
 @windowed
 @limited
-@common
-def scan(
-    settings: Settings,
-    vendor: int | None,
-    product: int | None,
-    revision: int | None,
-    serial: int | None,
-    window: Time,
-    limit: Time,
-) -> int:
+def scan(settings: Settings, screen: Screen, known: Known, window: Time, limit: Time) -> int:
     """Find the devices without a node-ID, and show their addresses. Nothing is written. Exit status 5: none was found.
 
     \b
     canopen lss scan --vendor 0x360 -b can0
     """
-    screen = settings.screen()
-    known = (vendor, product, revision, serial)
 
     async def find() -> Survey:
         async with open_lss(settings, screen, window, limit) as lss, progress(lss, screen, known):
@@ -74,7 +63,7 @@ def _matching(chosen: bool) -> str:
     return ", with these numbers" if chosen else ""
 
 
-@click.command()
+@command()
 @click.option("--vendor", type=Unsigned32(), required=True, help="The vendor-ID.")
 @click.option("--product", type=Unsigned32(), required=True, help="The product code.")
 @click.option(
@@ -82,9 +71,14 @@ def _matching(chosen: bool) -> str:
 )
 @click.option("--serial", type=NumberBounds(), default=(0, ALL_ONES), help="Serial numbers, inclusive: 1-100.  [default: all]")
 @windowed
-@common
 def identify(
-    settings: Settings, vendor: int, product: int, revision: tuple[int, int], serial: tuple[int, int], window: Time
+    settings: Settings,
+    screen: Screen,
+    vendor: int,
+    product: int,
+    revision: tuple[int, int],
+    serial: tuple[int, int],
+    window: Time,
 ) -> None:
     """Find all devices of a type, with and without a node-ID. Nothing is written.
 
@@ -93,7 +87,6 @@ def identify(
     \b
     canopen lss identify --vendor 0x360 --product 2 --serial 1-1000 -b can0
     """
-    screen = settings.screen()
 
     async def find() -> list[LssAddress]:
         async with open_lss(settings, screen, window) as lss, progress(lss, screen, (vendor, product, None, None)):
@@ -113,11 +106,10 @@ def identify(
     screen.say(f"{counted(len(found), 'device')} of this type")
 
 
-@click.command()
+@command()
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @windowed
-@common
-def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
+def inquire(settings: Settings, screen: Screen, device: LssTarget, window: Time) -> None:
     """Show the LSS address and the node-ID of one device. Nothing is written.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus.
@@ -125,7 +117,6 @@ def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
     \b
     canopen lss inquire only -b can0
     """
-    screen = settings.screen()
 
     async def ask() -> tuple[LssAddress, int]:
         async with open_lss(settings, screen, window) as lss:

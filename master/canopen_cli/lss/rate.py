@@ -15,7 +15,7 @@ import click
 import trio
 
 from canopen_cli.lss.support import Lss, address_text, open_lss, progress, windowed
-from canopen_cli.shared.options import DEMO, Duration, Settings, commanding, common
+from canopen_cli.shared.options import DEMO, Duration, Settings, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
@@ -72,7 +72,7 @@ class RateChange:
         return RateChange(self.new, self.old, self.locators[::-1], self.command, self.delay, False)
 
 
-@click.command("set-bitrate")
+@command("set-bitrate")
 @click.argument("rate", metavar="RATE", type=Rate())
 @click.option("--present", type=Rate(), help="The present bit rate, if the name of the bus does not say it.")
 @click.option(
@@ -86,9 +86,9 @@ class RateChange:
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
 def set_bitrate(
-    settings: Settings, rate: int, present: int | None, delay: Time, command: str, no_store: bool, yes: bool, window: Time,
+    settings: Settings, screen: Screen, rate: int, present: int | None, delay: Time, command: str, no_store: bool, yes: bool,
+    window: Time,
 ) -> None:  # fmt: skip
     """Change the bit rate of all devices of a bus.
 
@@ -100,7 +100,6 @@ def set_bitrate(
     canopen lss set-bitrate 250k --dry-run -b pcan:PCAN_USBBUS1@500k
     canopen lss set-bitrate 250k --present 500k -b can0 --interface-command "ip link set can0 down && ..."
     """
-    screen = settings.screen()
     change = _change(settings, rate, present, delay, command, not no_store)
     require_somebody(screen, "change the bit rate of all devices", yes or settings.dry_run)
 

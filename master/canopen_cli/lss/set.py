@@ -26,7 +26,7 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, commanding, common, node_id_of
+from canopen_cli.shared.options import FILE, NodeId, NodeIds, Settings, command, commanding, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
@@ -53,15 +53,14 @@ GO_ON: Final = "the same command again: it goes on with those that are left"
 TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 
 
-@click.command("set-id")
+@command("set-id")
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.option("--no-store", is_flag=True, help="Only until the power goes off.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
-def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
+def set_id(settings: Settings, screen: Screen, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
     """Give one device a node-ID, or another one.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus. A device that has a node-ID resets its
@@ -71,7 +70,6 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
     canopen lss set-id 0x360:0x2:0x10000:7 12 -b can0
     canopen lss set-id 5 12 -b can0
     """
-    screen = settings.screen()
     confirm(
         screen,
         f"give a device the node-ID {node_id}; one that has a node-ID now is reset, and a drive stops",
@@ -95,19 +93,17 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
     _show(settings, screen, [run_or_show(settings, screen, change)])
 
 
-@click.command()
+@command()
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-@common
-def store(settings: Settings, device: LssTarget, yes: bool, window: Time) -> None:
+def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, window: Time) -> None:
     """Let one device store its node-ID and bit rate. DEVICE: see set-id.
 
     \b
     canopen lss store 5 -b can0
     """
-    screen = settings.screen()
     question = "let the device store its node-ID and bit rate: it has them from its next power-on, too"
     confirm(screen, question, yes, needed=not settings.dry_run)
 
@@ -126,10 +122,10 @@ def store(settings: Settings, device: LssTarget, yes: bool, window: Time) -> Non
     run_or_show(settings, screen, keep)
 
 
-@click.command()
+@command()
 @click.option("--ids", "node_ids", type=NodeIds(), help="The node-IDs to give, in this order: 10-20,30.")
 @click.option(
-    "--table", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.csv",
+    "--table", type=FILE, metavar="FILE.csv",
     help=f"Which device gets which: columns {', '.join(TABLE_COLUMNS)}; an empty number fits any.",
 )  # fmt: skip
 @click.option("--no-store", is_flag=True, help="Only until the power goes off.")
@@ -138,17 +134,14 @@ def store(settings: Settings, device: LssTarget, yes: bool, window: Time) -> Non
 @windowed
 @limited
 @commanding
-@common
 def assign(
     settings: Settings,
+    screen: Screen,
     node_ids: tuple[int, ...] | None,
     table: Path | None,
     no_store: bool,
     yes: bool,
-    vendor: int | None,
-    product: int | None,
-    revision: int | None,
-    serial: int | None,
+    known: Known,
     window: Time,
     limit: Time,
 ) -> None:
@@ -163,12 +156,10 @@ def assign(
     canopen lss assign --ids 10-20 -b can0 --dry-run     which device would get which, and every frame
     canopen lss assign --table nodes.csv --vendor 0x360 -b can0
     """
-    screen = settings.screen()
     if (node_ids is None) == (table is None):
         raise usage("CO123", "node-IDs in order, or by a table: one of the two", tries=("--ids 10-20", "--table nodes.csv"))
     rows = read_table(table) if table is not None else ()
     choose = by_table(rows) if node_ids is None else in_order(node_ids)
-    known = (vendor, product, revision, serial)
     require_somebody(screen, "write node-IDs into devices", yes or settings.dry_run)
     questions = Questions(screen, agrees=yes or settings.dry_run)
 

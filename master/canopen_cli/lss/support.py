@@ -12,7 +12,7 @@ import trio
 from rich.progress import BarColumn, Progress, TextColumn
 
 from canopen_cli.shared.chosen_machine import NUMBER
-from canopen_cli.shared.options import Duration, Kind, Settings, TextKind, node_id_of, option_group
+from canopen_cli.shared.options import Duration, Kind, Settings, TextKind, node_id_of, together
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import BusSession, open_session
@@ -149,13 +149,21 @@ limited: Final = click.option(
     help=f"The longest time to find one device.  [default: {DEVICE_LIMIT // SECOND}s]",
 )
 _NUMBERS: Final = {"vendor": "vendor-ID", "product": "product code", "revision": "revision", "serial": "serial number"}
-knowing: Final = option_group(
+
+
+def _known(vendor: int | None, product: int | None, revision: int | None, serial: int | None) -> Known:
+    return vendor, product, revision, serial
+
+
+knowing: Final = together(
+    "known",
+    _known,
     *(
         click.option(f"--{name}", type=Unsigned32(), help=f"The {text} of the devices, if it is known: quicker.")
         for name, text in _NUMBERS.items()
-    )
+    ),
 )
-"""The options for known numbers of an address."""
+"""The options for known numbers of an address. The command takes `known`."""
 
 
 def address_text(address: LssAddress) -> str:

@@ -8,8 +8,8 @@ import click
 
 import canopen_data
 from canopen_cli.shared.lazy import NamingGroup
-from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.screen import escape
+from canopen_cli.shared.options import Settings, command
+from canopen_cli.shared.screen import Screen, escape
 
 _STYLES = {"created": "green", "replaced": "yellow", "kept": "yellow", "unchanged": "dim"}
 
@@ -19,7 +19,7 @@ def data() -> None:
     """The object dictionary and the chain files."""
 
 
-@data.command()
+@command(group=data)
 @click.option(
     "-o",
     "--output",
@@ -28,8 +28,7 @@ def data() -> None:
     type=click.Path(file_okay=False, path_type=Path),
     help="Another folder than ~/.canopen.",
 )
-@common
-def init(settings: Settings, target: Path | None) -> None:
+def init(settings: Settings, screen: Screen, target: Path | None) -> None:
     """Copy the data files to ~/.canopen (or $CANOPEN_DATA).
 
     A file there replaces the installed one of the same name. Files that you changed are kept, unless --force is given.
@@ -37,7 +36,6 @@ def init(settings: Settings, target: Path | None) -> None:
     \b
     canopen data init
     """
-    screen = settings.screen()
     copied = canopen_data.init(target, force=settings.force)
     if settings.json:
         screen.json([{"path": str(each.path), "action": each.action} for each in copied])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from canopen_master.ros_configurations import Imported, Told
 
 
-@click.command("import")
+@command("import")
 @click.argument("files", metavar="FILE.yaml...", nargs=-1, required=True)
 @click.option("-o", "--output", metavar="FILE.toml", help="The machine file to write.  [default: stdout]")
 @click.option("--locator", metavar="LOCATOR", default="", help="The bus, in place of that of the files; a bus.yml names none.")
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     help="Where a ROS package stands whose device files are named (eds_pkg); once for each.",
 )
 @click.option("--linear", metavar="JOINT", multiple=True, help="A slide: its positions are in metres there; once for each.")
-@common
 def import_(
     settings: Settings,
+    screen: Screen,
     files: tuple[str, ...],
     output: str | None,
     locator: str,
@@ -54,7 +54,6 @@ def import_(
     from canopen_master.ros_configurations import Choices, import_configuration
     from canopen_transports.locator import parse_locator
 
-    screen = settings.screen()
     folder = Path() if output is None else Path(output).parent
     choices = Choices(locator, chain, dict(map(_package, packages)), frozenset(linear))
     if output is not None:

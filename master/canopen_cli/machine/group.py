@@ -13,7 +13,7 @@ from canopen_cli.machine.limits import limits_as_json, show_limits
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.named_machine import machine_argument
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.findings import DictionaryError, Finding
@@ -40,10 +40,9 @@ def machine() -> None:
 machine.add_command(import_)
 
 
-@machine.command()
+@command(group=machine)
 @machine_argument
-@common
-def check(settings: Settings, file: Path | None) -> int:
+def check(settings: Settings, screen: Screen, file: Path | None) -> int:
     """Check a machine file, and the files that it names. Every error is shown, with its line; without errors, what it describes,
     and where the limits of each joint come from.
 
@@ -52,7 +51,6 @@ def check(settings: Settings, file: Path | None) -> int:
     \b
     canopen machine check cell.toml
     """
-    screen = settings.screen()
     path = settings.chosen.path(file or settings.machine)
     if path is None:
         raise usage("CO001", "which machine file?", tries=("canopen machine check cell.toml",))
@@ -132,7 +130,7 @@ def _as_json(machine: MachineFile) -> dict[str, Any]:
     }
 
 
-@machine.command("from-chains")
+@command("from-chains", group=machine)
 @click.argument("chains", metavar="CHAINS.csv")
 @click.option("-o", "--output", metavar="FILE.toml", required=True, help="The machine file to write.")
 @click.option(
@@ -142,8 +140,7 @@ def _as_json(machine: MachineFile) -> dict[str, Any]:
     multiple=True,
     help="The bus that a name of the chain file means; once for each.",
 )
-@common
-def from_chains(settings: Settings, chains: str, output: str, locators: tuple[str, ...]) -> None:
+def from_chains(settings: Settings, screen: Screen, chains: str, output: str, locators: tuple[str, ...]) -> None:
     """Make a machine file of a chain file of the manual, yours or an installed one. The chain file stays as it is.
 
     Units, limits and homing are not in a chain file: add them to the new file.
@@ -152,7 +149,6 @@ def from_chains(settings: Settings, chains: str, output: str, locators: tuple[st
     canopen machine from-chains arm.csv -o cell.toml
     canopen machine from-chains arm.csv -o cell.toml --locator left=socketcan:can0 --locator right=socketcan:can1
     """
-    screen = settings.screen()
     check_new_file(settings, screen, output, chains)
     given = dict(_locator(text) for text in locators)
     description = read_chains(chains)

@@ -10,7 +10,7 @@ import click
 
 from canopen_cli.shared.device_files import description_of, read_device_files
 from canopen_cli.shared.named_machine import machine_argument, machine_of
-from canopen_cli.shared.options import Duration, Settings, common
+from canopen_cli.shared.options import Duration, Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import load_dictionary
@@ -42,7 +42,7 @@ GROUPED = ("heartbeat", "EMCY")
 """Streams that share one line for all devices: the worst of them is shown."""
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--chains", metavar="FILE", help="A chain file, as `canopen demo --chains` has it.")
 @click.option("--cycle", metavar="TIME", type=Duration(100 * MICROSECOND), help="Between two SYNCs: 4ms.")
@@ -66,9 +66,9 @@ GROUPED = ("heartbeat", "EMCY")
     show_default=True,
     help="Controllers send their most urgent frame first, or the oldest (SocketCAN, most USB adapters; a coarser bound).",
 )
-@common
 def plan(
     settings: Settings,
+    screen: Screen,
     file: Path | None,
     chains: str | None,
     cycle: Time | None,
@@ -105,7 +105,6 @@ def plan(
         rate = None if bitrate is None else parse_bitrate(bitrate)
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from error
-    screen = settings.screen()
     if file is not None and chains is not None:
         raise usage("CO123", "a machine file or a chain file: one of the two", tries=(f"canopen plan {file}",))
     if file is not None and file.suffix.lower() == ".csv":

@@ -16,9 +16,9 @@ import click
 
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
-from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_ros.robot_files import URDF, robot_files
 
 PACKAGE = "ros_canopen"
@@ -44,10 +44,9 @@ def ros() -> None:
     """ROS: write a package with launch files for a machine."""
 
 
-@ros.command()
+@command(group=ros)
 @click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
-@common
-def init(settings: Settings, folder: Path) -> None:
+def init(settings: Settings, screen: Screen, folder: Path) -> None:
     """Write the ROS package ros_canopen into a folder: its package.xml, launch files, parameters, an example URDF.
 
     With -m FILE it is about that machine: the machine file and the files that it names are copied into the package, and its
@@ -58,7 +57,6 @@ def init(settings: Settings, folder: Path) -> None:
     \b
     canopen ros init ros -m cell.toml
     """
-    screen = settings.screen()
     package = folder / PACKAGE
     if package.exists():
         tries = ("another folder", f"remove {package} first")
@@ -162,11 +160,11 @@ def _next_steps(package: Path) -> Iterator[str]:
     absolute = package.absolute()
     parent, launch = shlex.quote(str(absolute.parent)), shlex.quote(str(absolute / "launch" / "canopen.launch.py"))
     yield "next, with simulated drives:"
-    for version, module, command in (
+    for version, module, launching in (
         ("ROS 1", "rospy", f"ROS_PACKAGE_PATH={parent}:$ROS_PACKAGE_PATH roslaunch {PACKAGE} canopen.launch simulate:=true"),
         ("ROS 2", "rclpy", f"ros2 launch {launch} python:={shlex.quote(sys.executable)} simulate:=true"),
     ):
         missing = "" if find_spec(module) is not None else f"    (this Python does not see {module} yet: docs/ros.md)"
-        yield f"  {version}: {command}{missing}"
+        yield f"  {version}: {launching}{missing}"
     if os.environ.get("ROS_DISTRO"):
         yield f"  this shell has ROS {os.environ['ROS_DISTRO']}"

@@ -14,7 +14,7 @@ from canopen_cli.motion.chain_session import ChosenChains, choose_chains, open_c
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.motion.view import DemoView, JointView, ViewStep
 from canopen_cli.shared.named_machine import machine_argument, machine_of
-from canopen_cli.shared.options import FiniteRange, Settings, common, enabling, without_dry_run
+from canopen_cli.shared.options import FiniteRange, Settings, command, enabling, without_dry_run
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted
@@ -28,7 +28,7 @@ REFRESH = 0.2
 ENDS = ("q", "\x1b", END)
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--chain", metavar="NAME", help="Which chain of the machine.  [default: the first]")
 @click.option("--home", is_flag=True, help="Home the joints first that have no reference.")
@@ -42,8 +42,9 @@ ENDS = ("q", "\x1b", END)
 @record_option
 @without_dry_run("what it sends is as long as a key is held", "canopen move --dry-run")
 @enabling
-@common
-def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, speed: float, record: Path | None) -> None:
+def jog(
+    settings: Settings, screen: Screen, file: Path | None, chain: str | None, home: bool, speed: float, record: Path | None
+) -> None:
     """Move joints of a chain by keys, as long as a key is held. THEY MOVE.
 
     1 to 9 choose a joint. The cursor keys right and left (or + and -) move it, from their first repetition on: a tap moves
@@ -55,7 +56,6 @@ def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, sp
     canopen jog -b demo                        a simulated arm
     canopen jog cell.toml --speed 0.05
     """
-    screen = settings.screen()
     if settings.json:
         raise usage("CO123", "a jog has no JSON", seen="it goes on as long as keys are held", tries=("canopen move --json",))
     machine_of(settings, file)

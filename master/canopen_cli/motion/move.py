@@ -20,7 +20,7 @@ from canopen_cli.plot.cycles import check_plot
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.shared.options import FiniteRange, Settings, command, commanding, enabling
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -37,7 +37,7 @@ REFRESH = 0.1
 """Seconds between two updates of what is shown."""
 
 
-@click.command()
+@command()
 @click.argument("files", metavar="[MACHINE.toml] [PATH.csv]", nargs=-1)
 @click.option("--to", metavar="A,B,...", help="The target: a position for each joint, or JOINT=POSITION for some of them.")
 @click.option("--chain", "chains", metavar="NAME", multiple=True, help="Which chain; several move as one.  [default: the first]")
@@ -53,9 +53,9 @@ REFRESH = 0.1
 @record_option
 @enabling
 @commanding
-@common
 def move(
     settings: Settings,
+    screen: Screen,
     files: tuple[str, ...],
     to: str | None,
     chains: tuple[str, ...],
@@ -79,7 +79,6 @@ def move(
     canopen move cell.toml path.csv --override 0.3 --plot run.png
     canopen move cell.toml --chain arm --chain leg --to elbow=30,knee=10
     """
-    screen = settings.screen()
     path_name = _take_files(settings, files)
     if to is not None and path_name is not None:
         raise usage("CO001", f"a target and a path at once: --to and {path_name}", tries=("one of them",))

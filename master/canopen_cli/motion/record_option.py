@@ -10,7 +10,7 @@ import click
 
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file, check_writable
-from canopen_cli.shared.options import Settings
+from canopen_cli.shared.options import FILE, Settings
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.record_files import PARQUET, RecordError, pyarrow_modules
@@ -18,7 +18,7 @@ from canopen_master.motion.recording import Recorder
 
 record_option = click.option(
     "--record",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Record each cycle: set-points, actual values, words; .csv, or .parquet (needs pyarrow). `canopen plot` draws it.",
 )
 

@@ -14,7 +14,7 @@ import trio
 from canopen_cli.net.boot_summary import NodeRow, by_state, problem_of, rows_of, success, tally
 from canopen_cli.net.support import ChosenNetwork, OpenNetwork, choose_network, open_network
 from canopen_cli.shared.named_machine import machine_argument
-from canopen_cli.shared.options import Settings, commanding, common, without_dry_run
+from canopen_cli.shared.options import Settings, command, commanding, without_dry_run
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run, run_until_interrupted
@@ -67,12 +67,11 @@ class Booted:
         return problem_of(self.rows(), self.chosen.networks[0].entry.startup)
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
-def boot(settings: Settings, file: Path | None, yes: bool) -> int:
+def boot(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> int:
     """Reset, check, configure and start the nodes of a machine file.
 
     No node that failed is started. The others run, also if a mandatory one failed, unless [network] has start = "all". Exit
@@ -83,7 +82,6 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     canopen net boot cell.toml
     canopen net boot cell.toml --dry-run         what would be written, and in which order
     """
-    screen = settings.screen()
     booted = Booted(choose_network(settings, screen, file))
     if settings.dry_run:
         show_unsent(settings, screen, lambda: _boot(settings, screen, booted))
@@ -99,12 +97,11 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     return ExitCode.OK
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @without_dry_run("it goes on until Ctrl-C, by what the nodes do", "canopen net boot --dry-run")
-@common
-def watch(settings: Settings, file: Path | None, yes: bool) -> None:
+def watch(settings: Settings, screen: Screen, file: Path | None, yes: bool) -> None:
     """Boot the nodes, then boot those that come back, and react to lost ones, until Ctrl-C.
 
     Reactions are those of the machine file: mandatory_lost in [network]. With --json each event is a line.
@@ -112,7 +109,6 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
     \b
     canopen net watch cell.toml -b demo --yes
     """
-    screen = settings.screen()
     booted = Booted(choose_network(settings, screen, file))
     _confirm(screen, booted.chosen, yes)
     run_until_interrupted(settings, screen, lambda: _watch(settings, screen, booted))

@@ -10,7 +10,7 @@ import click
 
 from canopen_cli.net.support import ChosenNetwork, choose_network, open_network
 from canopen_cli.shared.named_machine import machine_argument
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -49,11 +49,10 @@ Strangers: TypeAlias = list[tuple[str, int]]
 """Nodes that were heard and are in no list, by bus."""
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--identity", is_flag=True, help="Only who the nodes are, not their settings.")
-@common
-def check(settings: Settings, file: Path | None, identity: bool) -> int:
+def check(settings: Settings, screen: Screen, file: Path | None, identity: bool) -> int:
     """Compare each node with the machine file; nothing is written.
 
     Read are device type, identity, program and each setting that a boot would write. Exit status: 0 all is as in the file,
@@ -63,7 +62,6 @@ def check(settings: Settings, file: Path | None, identity: bool) -> int:
     canopen net check cell.toml
     canopen net check cell.toml --identity -b can0
     """
-    screen = settings.screen()
     chosen = choose_network(settings, screen, file)
     nodes, strangers = run(settings, screen, lambda: _compare(settings, screen, chosen, settings_too=not identity))
     if settings.json:

@@ -12,7 +12,7 @@ import click
 from canopen_cli.bus.scan import find_nodes
 from canopen_cli.shared.device_files import split_file
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import DEMO, NodeIds, Settings, common
+from canopen_cli.shared.options import DEMO, NodeIds, Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -55,7 +55,7 @@ class DeviceFile(NamedTuple):
     description: DeviceDescription
 
 
-@click.command()
+@command()
 @click.option("-o", "--output", metavar="FILE.toml", required=True, help="The machine file to write.")
 @click.option(
     "--files", "folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path),
@@ -63,8 +63,9 @@ class DeviceFile(NamedTuple):
 )  # fmt: skip
 @click.option("--serials", is_flag=True, help="Expect the serial numbers, too: devices that were swapped are noticed.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
-@common
-def init(settings: Settings, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None) -> None:
+def init(
+    settings: Settings, screen: Screen, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None
+) -> None:
     """Write a machine file of the nodes that a scan finds.
 
     Each node is in the network list, and mandatory: edit what is not so. Its identity is that of its file, else the one that it
@@ -75,7 +76,6 @@ def init(settings: Settings, output: str, folder: Path | None, serials: bool, no
     canopen net init -o cell.toml -b can0
     canopen net init -o cell.toml -b can0 --files eds --serials
     """
-    screen = settings.screen()
     bus = settings.required_bus()
     check_new_file(settings, screen, output)
     files = list(_files(screen, folder, settings.eds))

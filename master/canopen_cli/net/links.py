@@ -10,7 +10,7 @@ import click
 from canopen_cli.machine.group import show_findings
 from canopen_cli.shared.named_machine import machine_argument, named_machine
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.findings import DictionaryError
@@ -30,11 +30,10 @@ ENDING: Final = ".cdcf"
 EXAMPLE: Final = 'from = "encoder position_value" and to = "lift target_position" below [[links]]'
 
 
-@click.command()
+@command()
 @machine_argument
 @click.option("--dcf", "folder", metavar="DIR", help=f"Write a concise DCF for each node there: NAME{ENDING}.")
-@common
-def links(settings: Settings, file: Path | None, folder: str | None) -> int:
+def links(settings: Settings, screen: Screen, file: Path | None, folder: str | None) -> int:
     """Show the PDOs for the links of a machine file: CAN-IDs, mappings, transmission types. No bus is opened.
 
     They are computed from the files of the devices, and checked against them. `canopen net boot` writes them to the devices; with
@@ -46,7 +45,6 @@ def links(settings: Settings, file: Path | None, folder: str | None) -> int:
     canopen net links cell.toml
     canopen net links cell.toml --dcf concise
     """
-    screen = settings.screen()
     machine = named_machine(settings, file)
     dictionaries = Dictionaries(machine)
     try:

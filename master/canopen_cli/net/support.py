@@ -47,11 +47,6 @@ class ChosenNetwork:
         name = network.names[node_id]
         return name if len(self.networks) == 1 else f"{name} on {network.bus}"
 
-    @property
-    def size(self) -> int:
-        """How many nodes there are."""
-        return sum(len(each.names) for each in self.networks)
-
 
 @dataclass
 class OpenNetwork:
@@ -59,10 +54,6 @@ class OpenNetwork:
 
     master: Master
     nodes: dict[tuple[str, int], RemoteNode] = field(default_factory=dict)
-
-    def of(self, network: BusNetwork) -> dict[int, RemoteNode]:
-        """Return the nodes of one bus by node-ID."""
-        return {node_id: self.nodes[network.bus, node_id] for node_id in network.names}
 
 
 def choose_network(settings: Settings, screen: Screen, path: Path | None) -> ChosenNetwork:

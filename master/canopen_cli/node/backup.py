@@ -16,7 +16,7 @@ from canopen_cli.node.backup_reading import (
     tell_unread,
 )
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -35,12 +35,13 @@ if TYPE_CHECKING:
     from canopen_data.description import DeviceDescription
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.option("-o", "--output", metavar="FILE.dcf", required=True, help="The new file.")
 @reading_options
-@common
-def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
+def backup(
+    settings: Settings, screen: Screen, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool
+) -> int:
     """Read all values of a node into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
     If another SDO client uses the node's channel meanwhile, the backup says so, and `restore` wants --force for it.
@@ -52,12 +53,11 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     canopen backup 5 -o before.dcf -e drive.eds
     canopen backup 3 -o joint1.dcf -b demo
     """
-    screen = settings.screen()
     check_indices(indices, settings.eds)
     check_new_file(settings, screen, output)
     if indices is not None:
         indices = (COMMUNICATION, *indices)  # without the PDOs it would be no backup
-    found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
+    found, description = run(settings, screen, lambda: read_node(settings, screen, node_id, indices, domains))
     bit_rate = bit_rate_of(settings)
     lost = write_dcf(output, found, description, bit_rate)
     other = _other_device(found, description, node_id)
@@ -87,9 +87,10 @@ def _other_device(found: Backup, description: DeviceDescription | None, node_id:
     return f"{description.source} is the file of ANOTHER DEVICE, by {', '.join(map(str, different))}: it may have other objects"
 
 
-async def _backup(
+async def read_node(
     settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
 ) -> tuple[Backup, DeviceDescription | None]:
+    """Read what a node holds, as `read_all` does, and return its own file with it."""
     async with open_session(settings, screen) as session, session.claim(node_id):
         found = await read_all(session, screen, node_id, indices, domains)
         return found, session.description_of(node_id)

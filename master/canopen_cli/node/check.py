@@ -16,12 +16,12 @@ from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_cli.node.check_report import CaseRun, CheckReport, list_cases, write_junit
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import DEMO, Settings, common, without_dry_run
+from canopen_cli.shared.options import DEMO, Settings, command, without_dry_run
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.shared.session import BusSession, open_session, read_dictionary
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.named_files import open_description
 from canopen_master.errors import MasterError, SdoRefusedError
 from canopen_master.simulation.serving import drive_maker
@@ -40,7 +40,7 @@ ANY_NODE: Final = 1
 """The node-ID of a device whose file is checked alone. No case that runs without the device uses it."""
 
 
-@click.command()
+@command()
 @click.argument("target", metavar="NODE|FILE", required=False)
 @click.option("--case", "numbers", metavar="NUMBER", multiple=True, help="Only this case (2.1) or chapter (3); may be repeated.")
 @click.option("--storing", is_flag=True, help="Also the cases that change what the device stores (1010, 1011).")
@@ -49,9 +49,9 @@ ANY_NODE: Final = 1
 @click.option("--list", "only_list", is_flag=True, help="List the cases, and end.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @without_dry_run("a case is judged by what the node answers to its writes", "canopen check --list", "canopen check FILE.eds")
-@common
 def check(
     settings: Settings,
+    screen: Screen,
     target: str | None,
     numbers: tuple[str, ...],
     storing: bool,
@@ -77,7 +77,6 @@ def check(
     canopen check 5 -b can0 -e drive.eds --case 2 --case 4.2
     canopen check drive.eds
     """
-    screen = settings.screen()
     cases, left_out = _chosen(numbers, storing)
     if only_list:
         list_cases(screen, cases)
@@ -154,14 +153,14 @@ def _check_node(settings: Settings, screen: Screen, report: CheckReport, cases: 
     node_id = report.node_id
     assert node_id is not None
     if not any(case.uses_device for case in cases):
-        description = NodeFiles(settings, screen, read_dictionary(screen)).description_of(node_id)
+        description = NodeFiles(settings, screen).description_of(node_id)
         if description is None:
             raise _without_file(node_id)
         report.file = description.source
         _run_alone(report, cases, description, node_id)
         return
     bus = settings.required_bus()
-    if bus != DEMO and NodeFiles(settings, screen, read_dictionary(screen)).description_of(node_id) is None:
+    if bus != DEMO and NodeFiles(settings, screen).description_of(node_id) is None:
         raise _without_file(node_id)
     effect = "it is reset and all of its objects are written, outputs and set-points too; commands go to ALL nodes of the bus"
     confirm(screen, f"check {node_text(node_id)}: {effect}", yes, needed=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from canopen_cli.node.backup_reading import both_notations, shown, tell_unread
-from canopen_cli.shared.options import NodeId, Settings, TextKind, common
+from canopen_cli.shared.options import NodeId, Settings, TextKind, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -91,7 +91,7 @@ class ToleranceKind(TextKind):
         return ValueTolerance(relative=size / 100) if percent else ValueTolerance(absolute=size)
 
 
-@click.command()
+@command()
 @click.argument("left", metavar="NODE|FILE")
 @click.argument("right", metavar="FILE")
 @click.option("--only", type=click.Choice(["changed", "missing"]), help="Only what both have, or only what one of them lacks.")
@@ -101,9 +101,9 @@ class ToleranceKind(TextKind):
 @click.option(
     "--id", "node_id", metavar="N", type=NodeId(), help="For defaults that depend on the node-ID, of files without one."
 )
-@common
 def compare(
     settings: Settings,
+    screen: Screen,
     left: str,
     right: str,
     only: str | None,
@@ -123,7 +123,6 @@ def compare(
     """
     from canopen_data.named_files import open_description
 
-    screen = settings.screen()
     live = settings.node_id(left) if settings.is_node(left) else None
     if settings.is_node(right) and not Path(right).exists():
         saved = f"node{settings.node_id(right)}.dcf"

@@ -9,16 +9,14 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.node.backup import bit_rate_of, write_dcf
-from canopen_cli.node.backup_reading import check_indices, read_all, reading_as_json, reading_options, tell_unread
+from canopen_cli.node.backup import bit_rate_of, read_node, write_dcf
+from canopen_cli.node.backup_reading import check_indices, reading_as_json, reading_options, tell_unread
 from canopen_cli.shared.new_files import check_new_file, write_file
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
-from canopen_cli.shared.session import open_session
 from canopen_cli.shared.values import hex_text, place_text, value_text
-from canopen_data.description import DeviceDescription
 from canopen_master.plain_text import clean, json_text
 from canopen_master.way_back import counts_text
 from canopen_proto.manager.parameters.backup import Backup, Reading
@@ -27,12 +25,13 @@ FORMATS: Final = (".json", ".csv", ".dcf")
 COLUMNS: Final = ("object", "name", "type", "access", "value", "hex")
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.option("-o", "--output", metavar="FILE", help="A file instead: .json, .csv or .dcf.")
 @reading_options
-@common
-def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool) -> int:
+def dump(
+    settings: Settings, screen: Screen, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool
+) -> int:
     """Read all objects of a node, and show them.
 
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
@@ -43,7 +42,6 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
     canopen dump 3 -b demo
     canopen dump 5 --walk 1000-1FFF,2000-20FF -o found.csv
     """
-    screen = settings.screen()
     check_indices(indices, settings.eds)
     suffix = Path(output).suffix.lower() if output is not None else ""
     if output is not None:
@@ -52,25 +50,17 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
                 "CO001", f"{output} has an ending of no known format", tries=[f"-o node{node_id}{each}" for each in FORMATS]
             )
         check_new_file(settings, screen, output)
-    found, description = run(settings, screen, lambda: _dump(settings, screen, node_id, indices, domains))
+    found, description = run(settings, screen, lambda: read_node(settings, screen, node_id, indices, domains))
     lost: tuple[Reading, ...] = ()
     if output is None:
         _show(settings, screen, found)
     elif suffix == ".dcf":
-        lost = write_dcf(output, found, description, bit_rate_of(settings))
+        lost = write_dcf(output, found, description if indices is None else None, bit_rate_of(settings))
     else:
         _write(output, suffix, found)
     tell_unread(screen, found, lost)
     screen.say((f"{escape(output)}: " if output is not None else "") + f"{node_text(node_id)}, {counts_text(found)}")
     return ExitCode.OK if found.is_complete and not lost else ExitCode.PARTIAL
-
-
-async def _dump(
-    settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
-) -> tuple[Backup, DeviceDescription | None]:
-    async with open_session(settings, screen) as session, session.claim(node_id):
-        found = await read_all(session, screen, node_id, indices, domains)
-        return found, session.description_of(node_id) if indices is None else None
 
 
 def _show(settings: Settings, screen: Screen, found: Backup) -> None:

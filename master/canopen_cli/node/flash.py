@@ -15,7 +15,7 @@ from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColu
 
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, NodeId, Settings, TextKind, commanding, common
+from canopen_cli.shared.options import FILE, Duration, NodeId, Settings, TextKind, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode, cannot_read
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
@@ -97,9 +97,9 @@ class ProgramToFlash:
         return self.expected is None and found.status is None
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
-@click.argument("path", metavar="IMAGE", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("path", metavar="IMAGE", type=FILE)
 @click.option("--program", type=click.IntRange(1, MAX_PROGRAM), default=1, show_default=True, help="Which program of the device.")
 @click.option(
     "--expect",
@@ -110,9 +110,9 @@ class ProgramToFlash:
 @click.option("--limit", type=Duration(SECOND), help="For one operation of its flash, and for its boot.  [default: 30s, 20s]")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
 def flash(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     path: Path,
     program: int,
@@ -133,7 +133,6 @@ def flash(
     canopen sim 5 --boot-loader -b udp_multicast      a device to try it on
     canopen flash 5 new.bin --expect crc32 -b udp_multicast
     """
-    screen = settings.screen()
     image = image_in(path)
     limits = DownloadLimits() if limit is None else replace(DownloadLimits(), busy=limit, start=limit)
     expected = crc32(image) if expect == CRC32 else expect

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, command
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import BusSession, open_session
@@ -35,10 +35,9 @@ MAX_WAIT = 2.0
 """Seconds for a heartbeat that shows the NMT state."""
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
-@common
-def info(settings: Settings, node_id: int) -> None:
+def info(settings: Settings, screen: Screen, node_id: int) -> None:
     """Show a node's identity, state, errors and PDOs.
 
     With -e FILE, also tell whether it is the device that the file describes.
@@ -47,7 +46,6 @@ def info(settings: Settings, node_id: int) -> None:
     canopen info 3 -b demo
     canopen info 5 -e drive.eds -b socketcan:can0
     """
-    screen = settings.screen()
     facts = run(settings, screen, lambda: _info(settings, screen, node_id))
     if settings.json:
         screen.json({"node": node_id, **{name.replace(" ", "_").replace("-", "_"): raw for name, (raw, _) in facts.items()}})

@@ -12,7 +12,7 @@ import click
 from canopen_cli.bus.scan import find_nodes
 from canopen_cli.shared.chosen_machine import ChosenMachine
 from canopen_cli.shared.named_machine import machine_argument, named_machine
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -25,11 +25,10 @@ LISTEN: Final = 3 * SECOND // 2
 COLUMNS: Final = ("name", "node", "bus", "joints", "file", "boot", "there")
 
 
-@click.command("list")
+@command("list")
 @machine_argument
 @click.option("--look", is_flag=True, help="Look on the buses of the file which nodes are there, and which others.")
-@common
-def list_nodes(settings: Settings, file: Path | None, look: bool) -> int:
+def list_nodes(settings: Settings, screen: Screen, file: Path | None, look: bool) -> int:
     """List the nodes of a machine file; with -b or --look also which are there.
 
     Nothing is sent without -b or --look. With them each bus is scanned as by `canopen scan`: exit status 1 if a node of the file
@@ -40,7 +39,6 @@ def list_nodes(settings: Settings, file: Path | None, look: bool) -> int:
     canopen node list cell.toml --look
     canopen node list -m cell.toml -b demo
     """
-    screen = settings.screen()
     machine = named_machine(settings, file)
     buses = _buses(settings, machine, look)
     found = {bus: _there(settings, screen, bus) for bus in buses}

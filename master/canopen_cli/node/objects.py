@@ -13,7 +13,7 @@ from canopen_cli.node.object_files import FileTransfer, read_into_file, write_fr
 from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.numbers import NumberCommand
-from canopen_cli.shared.options import NodeOfObject, Settings, commanding, common, enabling, with_named_object
+from canopen_cli.shared.options import NodeOfObject, Settings, command, commanding, enabling, together, with_named_object
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
@@ -41,14 +41,6 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 if TYPE_CHECKING:
     from canopen_cli.shared.text_gateway import TextSession
 
-_TYPE = click.option(
-    "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
-)
-
-_BLOCK = click.option(
-    "--block/--no-block", default=None, help="By SDO block transfer, or never so. By default where it pays and the device can."
-)
-
 
 @dataclass(frozen=True)
 class AccessRequest:
@@ -58,6 +50,24 @@ class AccessRequest:
     type_name: str | None
     block: bool | None
     verify: bool = False
+
+
+_accessing = together(
+    "request",
+    AccessRequest,
+    click.option(
+        "--type",
+        "type_name",
+        type=click.Choice(list(TYPES)),
+        help="Of an object that the dictionary does not have, such as 2000:01.",
+    ),
+    click.option(
+        "--block/--no-block",
+        default=None,
+        help="By SDO block transfer, or never so. By default where it pays and the device can.",
+    ),
+)
+"""The options of an access. The command has its argument `node_id` besides, perhaps `verify`, and takes `request`."""
 
 
 @dataclass
@@ -104,16 +114,12 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
     return ObjectReading(node.node_id, variable, value, ())
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("keys", metavar="OBJECT...", nargs=-1)
-@_TYPE
-@_BLOCK
+@_accessing
 @click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
-@common
-def read(
-    settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None, output: str | None
-) -> int:
+def read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...], output: str | None) -> int:
     """Read objects of a node. Exit status 7: the node refused some of them.
 
     An OBJECT is a name (statusword, identity_object:vendor_id) or a number in hexadecimal (6041, 0x6041, 60C1:01).
@@ -124,9 +130,8 @@ def read(
     canopen read 3 6041 6064 --json -b demo
     canopen read 3 1008 -o name.bin -b demo
     """
-    screen, request = settings.screen(), AccessRequest(node_id, type_name, block)
-    keys = with_named_object(keys, node_id)
-    refuse_over_text(settings, output=output, block=block)
+    keys = with_named_object(keys, request.node_id)
+    refuse_over_text(settings, output=output, block=request.block)
     if output is not None:
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
@@ -140,7 +145,7 @@ def read(
         documents = [reading.as_json() for reading in readings]
         screen.json(documents if len(keys) > 1 else documents[0])
     else:
-        screen.say(f"[bold]{node_text(node_id)}[/]")
+        screen.say(f"[bold]{node_text(request.node_id)}[/]")
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
     for place, why in refused:
         screen.say(f"[yellow]not read: {place}: {escape(why)}[/]")
@@ -274,25 +279,15 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
         screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
 
 
-@click.command(cls=NumberCommand)
+@command(cls=NumberCommand)
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("words", metavar="OBJECT [VALUE]", nargs=-1)
-@_TYPE
-@_BLOCK
+@_accessing
 @click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
 @click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
 @enabling
 @commanding
-@common
-def write(
-    settings: Settings,
-    node_id: int,
-    words: tuple[str, ...],
-    type_name: str | None,
-    block: bool | None,
-    path: str | None,
-    verify: bool,
-) -> None:
+def write(settings: Settings, screen: Screen, request: AccessRequest, words: tuple[str, ...], path: str | None) -> None:
     """Write an object of a node, and show its value before and after.
 
     A VALUE is a number (12, 0x0C, -5), or the name of a constant. A value that does not fit the object is refused
@@ -303,25 +298,24 @@ def write(
     canopen write 3 6081 20000 -b demo
     canopen write 5 1F50:01 --file firmware.bin
     """
-    screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
-    key, *values = with_named_object(words, node_id)
+    key, *values = with_named_object(words, request.node_id)
     if len(values) > 1:
         raise usage("CO001", f"one VALUE is written, not {len(values)}", tries=("a text with blanks in quotes",))
     text = values[0] if values else None
-    refuse_over_text(settings, file=path, block=block, dry_run=settings.dry_run)
+    refuse_over_text(settings, file=path, block=request.block, dry_run=settings.dry_run)
     if path is not None and text is None:
         written = run_or_show(settings, screen, lambda: _write_file(settings, screen, request, key, path))
-        _tell_file(settings, screen, written, "←", verified=verify)
+        _tell_file(settings, screen, written, "←", verified=request.verify)
         return
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
     before, after = run_or_show(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
     if settings.json:
         previous = None if before is None else as_json(before.variable, before.value)
-        screen.json({**after.as_json(), "previous": previous, "verified": verify})
+        screen.json({**after.as_json(), "previous": previous, "verified": request.verify})
         return
     old = "?" if before is None else _shown(before)
-    screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
+    screen.data(f"{node_text(request.node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
 
 
 def _shown(reading: ObjectReading) -> str:

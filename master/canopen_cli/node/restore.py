@@ -12,7 +12,7 @@ import click
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.node.restore_output import show, story, tell_unread, told
 from canopen_cli.shared.device_type import check_type
-from canopen_cli.shared.options import NodeId, Settings, commanding, common
+from canopen_cli.shared.options import NodeId, Settings, command, commanding
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
@@ -44,7 +44,7 @@ class SettingsToRestore:
     dry_run: bool
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.argument("path", metavar="FILE")
 @click.option("--verify", is_flag=True, help="Read each object back; exit status 13 where it is not what was written.")
@@ -56,9 +56,9 @@ class SettingsToRestore:
 @click.option("--any-device", is_flag=True, help="Also to a node, or a type of device, that the file is not of.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
 def restore(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     path: str,
     verify: bool,
@@ -83,7 +83,6 @@ def restore(
     canopen restore 5 before.dcf --verify --store --yes
     canopen restore 5 before.dcf --to-node 6
     """
-    screen = settings.screen()
     dictionary = settings_in(path, node_id, any_device, settings.encoding, disturbed=settings.force)
     if to is not None:
         dictionary, node_id = moved_to(dictionary, node_id, to), to

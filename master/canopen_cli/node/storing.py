@@ -7,7 +7,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import NodeId, Settings, TextKind, commanding, common
+from canopen_cli.shared.options import NodeId, Settings, TextKind, command, commanding
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.screen import Screen, node_text
@@ -43,13 +43,12 @@ _GROUP = click.option(
 _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @_GROUP
 @_YES
 @commanding
-@common
-def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
+def store(settings: Settings, screen: Screen, node_id: int, group: int, yes: bool) -> None:
     """Have a device keep its present parameters over power-off (0x1010).
 
     `canopen backup` before it is a way back. A device that answers late may still have stored: then read 0x1010 again, and
@@ -59,7 +58,6 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
     canopen store 5 --yes
     canopen store 5 --group communication --yes
     """
-    screen = settings.screen()
     confirm(screen, f"store parameters of {node_text(node_id)}: they stay over power-off", yes, needed=not settings.dry_run)
     run_or_show(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
     if settings.json:
@@ -68,21 +66,19 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
         screen.say(f"{node_text(node_id)}: stored (0x{STORE:04X}:{group:02X})")
 
 
-@click.command("reset-defaults")
+@command("reset-defaults")
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @_GROUP
 @click.option("--reset", is_flag=True, help="Reset the node then, so that the defaults count at once: IT STOPS, or coasts.")
 @_YES
 @commanding
-@common
-def reset_defaults(settings: Settings, node_id: int, group: int, reset: bool, yes: bool) -> None:
+def reset_defaults(settings: Settings, screen: Screen, node_id: int, group: int, reset: bool, yes: bool) -> None:
     """Have a device take the defaults of its parameters from its next reset on (0x1011). Its node-ID may change with them.
 
     \b
     canopen backup 5 -o before.dcf && canopen reset-defaults 5 --yes
     canopen reset-defaults 5 --reset --yes
     """
-    screen = settings.screen()
     then = "it is reset, and a drive stops, or coasts" if reset else "it takes them at its next reset"
     confirm(
         screen, f"forget stored parameters of {node_text(node_id)} for the defaults: {then}", yes, needed=not settings.dry_run

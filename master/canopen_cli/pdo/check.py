@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.bus.scan import find_nodes
 from canopen_cli.pdo.reading import read_all_pdos
-from canopen_cli.shared.options import NodeIds, Settings, common
+from canopen_cli.shared.options import NodeIds, Settings, command
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -26,10 +26,9 @@ COLUMNS: Final = ("CAN-ID", "bytes", "from", "to", "objects")
 LISTEN: Final = 3 * SECOND // 2
 
 
-@click.command()
+@command()
 @click.option("--ids", "node_ids", type=NodeIds(), help="Of which nodes: 3-8,12. By default of all that a scan finds.")
-@common
-def check(settings: Settings, node_ids: tuple[int, ...] | None) -> int:
+def check(settings: Settings, screen: Screen, node_ids: tuple[int, ...] | None) -> int:
     """Compare the PDOs of nodes: who sends to whom, lengths, CAN-IDs with two senders, PDOs nobody takes.
 
     The devices are only read. What has to be wrong is an error; what may be meant, such as a PDO that only a master takes, is a
@@ -39,7 +38,6 @@ def check(settings: Settings, node_ids: tuple[int, ...] | None) -> int:
     canopen pdo check -b demo
     canopen pdo check --ids 3,5 -b can0
     """
-    screen = settings.screen()
     asked = node_ids
     if asked is None:
         found, _ = run(settings, screen, lambda: find_nodes(settings, screen, tuple(ALL_NODE_IDS), LISTEN))

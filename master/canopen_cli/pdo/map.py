@@ -13,7 +13,7 @@ from canopen_cli.pdo.reading import pdo_of
 from canopen_cli.shared.device_type import check_type
 from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, NodeOfObject, Settings, TextKind, commanding, common, with_word_at_node
+from canopen_cli.shared.options import Duration, NodeOfObject, Settings, TextKind, command, commanding, with_word_at_node
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -91,7 +91,7 @@ class MappingChange:
         return wanted
 
 
-@click.command("map")
+@command("map")
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("words", metavar="PDO [OBJECT]...", nargs=-1)
 @click.option("--can-id", type=CanId(), help="Its CAN-ID: 0x1A5. By default as it is.")
@@ -102,9 +102,9 @@ class MappingChange:
 @click.option("--any-device", is_flag=True, help="Also if the device is not of the type that its file (-e) describes.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-@common
 def map_pdo(
     settings: Settings,
+    screen: Screen,
     node_id: int,
     words: tuple[str, ...],
     can_id: int | None,
@@ -135,7 +135,6 @@ def map_pdo(
         raise usage("CO001", "nothing to change was named", tries=(f"canopen pdo show {node_id}", "canopen pdo map --help"))
     if off and (objects or change != MappingChange((), None, None, None, None, True)):
         raise usage("CO001", "--off goes alone: the PDO keeps its mapping", tries=("the same without --off",))
-    screen = settings.screen()
     question = f"set up {pdo[0]} {pdo[1]} of {node_text(node_id)}: it becomes Pre-operational (a drive stops, or coasts)"
     confirm(screen, question, yes, needed=not settings.dry_run)
     before, after, dictionary = run_or_show(settings, screen, lambda: _map(settings, screen, node_id, pdo, change, any_device))

@@ -7,7 +7,7 @@ from typing import Final
 import click
 
 from canopen_cli.pdo.reading import pdo_of, read_all_pdos
-from canopen_cli.shared.options import NodeOfObject, Settings, common, with_word_at_node
+from canopen_cli.shared.options import NodeOfObject, Settings, command, with_word_at_node
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -18,12 +18,11 @@ from canopen_proto.dictionary import Direction, ObjectDictionary
 COLUMNS: Final = ("PDO", "CAN-ID", "sent or taken", "times", "bytes", "objects")
 
 
-@click.command()
+@command()
 @click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("words", metavar="[PDO]...", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Those that are switched off, too.")
-@common
-def show(settings: Settings, node_id: int, words: tuple[str, ...], everything: bool) -> None:
+def show(settings: Settings, screen: Screen, node_id: int, words: tuple[str, ...], everything: bool) -> None:
     """Show the PDOs of a node: CAN-ID, when they are sent, times, and their objects by name. PDO: tpdo1, rpdo2 ...; the
     first one may stand at its node.
 
@@ -34,7 +33,6 @@ def show(settings: Settings, node_id: int, words: tuple[str, ...], everything: b
     canopen pdo show 5:tpdo1 -e drive.eds
     canopen pdo show 5 tpdo1 rpdo1 -e drive.eds
     """
-    screen = settings.screen()
     pdos = tuple(map(pdo_of, with_word_at_node(words, node_id)))
     found, dictionary = run(settings, screen, lambda: _read(settings, screen, node_id, pdos))
     shown = [each for each in found if everything or pdos or each.settings is None or each.settings.is_valid]

@@ -11,7 +11,7 @@ from canopen_cli.plot.curves import JointCurves, MotionCurves, curves_of_path, c
 from canopen_cli.plot.cycles import check_plot
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import FILE, Settings, command
 from canopen_cli.shared.screen import Screen, escape
 from canopen_data import text_of
 from canopen_data.path_file import TIME, read_path
@@ -23,13 +23,10 @@ _CLOSE = 1e-9
 """Smaller numbers are shown as 0: they are left by rounding."""
 
 
-@click.command()
+@command()
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
-)
-@common
-def plot(settings: Settings, file: str, output: Path | None) -> None:
+@click.option("-o", "--output", type=FILE, help="The picture: .png, .svg, .pdf.  [default: FILE.png]")
+def plot(settings: Settings, screen: Screen, file: str, output: Path | None) -> None:
     """Draw a recording (--record): position, velocity, acceleration and following error.
 
     Each joint has its colour, and the four stand one above the other.
@@ -43,7 +40,6 @@ def plot(settings: Settings, file: str, output: Path | None) -> None:
     canopen plot run.csv -o run.svg
     canopen plot path.csv                 a path, before it is followed
     """
-    screen = settings.screen()
     target = Path(file).with_suffix(".png") if output is None else output
     check_plot(target)
     curves = read_curves(settings, file, screen)

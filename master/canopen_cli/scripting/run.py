@@ -12,20 +12,19 @@ import trio
 
 from canopen_cli.scripting.namespace import compiled, execute, failure_of, names_for
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import Settings, commanding, common, enabling
+from canopen_cli.shared.options import FILE, Settings, command, commanding, enabling
 from canopen_cli.shared.running import first_of
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
 from canopen_data.named_files import read_text
 
 
-@click.command("run")
-@click.argument("script", type=click.Path(dir_okay=False, path_type=Path))
+@command("run")
+@click.argument("script", type=FILE)
 @click.argument("args", metavar="[ARG]...", nargs=-1)
 @enabling
 @commanding
-@common
-def run_script(settings: Settings, script: Path, args: tuple[str, ...]) -> None:
+def run_script(settings: Settings, screen: Screen, script: Path, args: tuple[str, ...]) -> None:
     """Run a Python script on a bus that is open already, with `await` at its top level.
 
     It finds `master`, `nodes` (`nodes[5]`, or by a name of the machine file; `nodes[args[0]]`), `bus` and `args`. A
@@ -36,7 +35,6 @@ def run_script(settings: Settings, script: Path, args: tuple[str, ...]) -> None:
     canopen run look.py -b demo
     canopen run look.py 5 statusword -b can0      its words: args
     """
-    screen = settings.screen()
     name = str(script)
     try:
         code = compiled(read_text(script), name)

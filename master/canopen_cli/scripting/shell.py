@@ -22,7 +22,7 @@ import trio
 from canopen_cli.scripting.namespace import execute, failure_of, line_compiler, names_for
 from canopen_cli.scripting.text_plot import TextPlot, statement_of
 from canopen_cli.scripting.words import words_for
-from canopen_cli.shared.options import NodeId, Settings, common, enabling
+from canopen_cli.shared.options import NodeId, Settings, command, enabling
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import read_input
 from canopen_cli.shared.running import first_of, run
@@ -49,11 +49,10 @@ class Lines(Protocol):
         """Wait for a line; None at the end of the input. Raises KeyboardInterrupt for a Ctrl-C in a line."""
 
 
-@click.command("shell")
+@command("shell")
 @click.argument("node_id", metavar="[NODE]", type=NodeId(), required=False)
 @enabling
-@common
-def shell(settings: Settings, node_id: int | None) -> None:
+def shell(settings: Settings, screen: Screen, node_id: int | None) -> None:
     """A Python prompt on an open bus, with `await`, completion of nodes, objects and constants, and history.
 
     It has `master`, `nodes` (`nodes[5]`), `node` (that of NODE), `bus` and `plot`. Ctrl-C ends a statement, Ctrl-D the prompt;
@@ -67,7 +66,6 @@ def shell(settings: Settings, node_id: int | None) -> None:
     >>> plot 4:velocity_actual_value 10s
     echo 'await node.read("statusword")' | canopen shell 3 -b demo
     """
-    screen = settings.screen()
     lines = TerminalLines() if sys.stdin.isatty() and sys.stdout.isatty() else None
 
     async def work() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import FILE, Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
@@ -16,7 +16,7 @@ from canopen_gateway.ascii.address import DEFAULT_HOST, DEFAULT_PORT
 from canopen_proto.gateway import CANOPENNODE, DIALECTS
 
 
-@click.command(name="ascii")
+@command(name="ascii")
 @click.option(
     "--bind", default=DEFAULT_HOST, metavar="HOST", show_default=True, help="Where to listen: an address of this computer."
 )
@@ -25,9 +25,7 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
     type=click.IntRange(0, 65535),
     help=f"Its TCP port; 0 for any free one.  [default: {DEFAULT_PORT}; none with --unix]",
 )
-@click.option(
-    "--unix", type=click.Path(dir_okay=False, path_type=Path), metavar="PATH", help="A Unix socket, for this user alone."
-)
+@click.option("--unix", type=FILE, metavar="PATH", help="A Unix socket, for this user alone.")
 @allowing
 @click.option(
     "--dialect",
@@ -38,16 +36,16 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
 )
 @click.option("--reachable", is_flag=True, help="Other computers may reach it, though it has no password.")
 @lasting()
-@common
 def serve_ascii(
     settings: Settings,
+    screen: Screen,
     bind: str,
     port: int | None,
     unix: Path | None,
     allow: frozenset[Permission],
     dialect: str,
     reachable: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.
 
@@ -60,8 +58,6 @@ def serve_ascii(
     canopen read 3 1008 -b gw:localhost:60000       as another maker's gateway
     canopen serve ascii -b can0 --allow write,nmt --unix /tmp/CO_command_socket
     """
-    screen = settings.screen()
-
     at_tcp = (bind, DEFAULT_PORT if port is None else port) if port is not None or unix is None else None
     serve_door(
         settings,

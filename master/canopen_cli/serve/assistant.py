@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,7 +12,7 @@ from mcp.server.mcpserver import MCPServer
 
 from canopen_cli.serve.assistant_files import FileTools
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allow_option
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import first_error, run_until_interrupted
@@ -26,7 +25,7 @@ from canopen_gateway.web.guard import AsgiApp
 Making: TypeAlias = Callable[[GatewayService, GatewaySession], MCPServer[Any]]
 
 
-@click.command(name="mcp")
+@command(name="mcp")
 @click.option("--http", "port", type=click.IntRange(0, 65535), metavar="PORT", help="By HTTP on this computer; 0: any free port.")
 @allow_option("What the assistant may change: write, store, program, nmt")
 @click.option(
@@ -36,9 +35,8 @@ Making: TypeAlias = Callable[[GatewayService, GatewaySession], MCPServer[Any]]
     help="Recordings that it may look at; none by default.",
 )
 @lasting("End after this time.")
-@common
 def serve_mcp(
-    settings: Settings, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float | None
+    settings: Settings, screen: Screen, port: int | None, allow: frozenset[Permission], logs: Path | None, seconds: float
 ) -> None:
     """Let an assistant read a machine, by the Model Context Protocol. Needs the extra `mcp`.
 
@@ -50,7 +48,6 @@ def serve_mcp(
     canopen serve mcp -b can0                  what an assistant's configuration starts
     canopen serve mcp -b demo --http 8403      six simulated drives, by HTTP
     """
-    screen = settings.screen()
     if Permission.MOTION in allow:
         tries = ("the same without motion", "canopen serve web --allow motion")
         raise usage("CO123", "--allow motion: an assistant cannot hold a dead man's switch", tries=tries)
@@ -64,7 +61,7 @@ def serve_mcp(
 
     @first_error()
     async def serve_in_time() -> None:
-        with trio.move_on_after(math.inf if seconds is None else seconds):
+        with trio.move_on_after(seconds):
             await serve(settings, screen, allow, port or 0, make)
 
     run_until_interrupted(settings, screen, serve_in_time)

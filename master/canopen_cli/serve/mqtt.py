@@ -9,14 +9,13 @@ from typing import Any, Final
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Kind, Seconds, Settings, common, lasting
+from canopen_cli.shared.options import FILE, Kind, Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway.mqtt import BrokerAddress, BrokerLogin, MqttDoor, bind_mqtt_door, parse_broker
 from canopen_gateway.mqtt.door import LEAST_PERIOD, PERIOD
 
 PASSWORD_VARIABLE: Final = "CANOPEN_MQTT_PASSWORD"
-FILE: Final = click.Path(dir_okay=False, path_type=Path)
 
 
 class Broker(Kind):
@@ -33,7 +32,7 @@ class Broker(Kind):
             self.fail(str(error), param, ctx)
 
 
-@click.command(name="mqtt")
+@command(name="mqtt")
 @click.option("--site", required=True, metavar="NAME", help="The name of this computer in topics.")
 @click.option(
     "--broker",
@@ -59,9 +58,9 @@ class Broker(Kind):
 )
 @click.option("--clear-text", is_flag=True, help="The password may cross the network without TLS.")
 @lasting()
-@common
 def serve_mqtt(
     settings: Settings,
+    screen: Screen,
     site: str,
     broker: BrokerAddress,
     user: str,
@@ -73,7 +72,7 @@ def serve_mqtt(
     every: float,
     period: float,
     clear_text: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Tell an MQTT broker what a machine does, one way: states, values, emergencies. Until Ctrl-C; needs the extra `mqtt`.
 
@@ -85,7 +84,6 @@ def serve_mqtt(
     mosquitto_sub -v -t 'canopen/v1/#'
     canopen serve mqtt --site hall-2 -m cell.toml --broker mqtts://broker.lan --user hall-2 --password-file secret
     """
-    screen = settings.screen()
     password = _password(password_file)
     if password and not user:
         raise usage("CO123", "a password needs its --user", tries=("--user NAME",))

@@ -6,7 +6,6 @@ The machine is the bus of -b, or all buses of the machine file; with `-b demo` i
 from __future__ import annotations
 
 import gc
-import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager
 from typing import Protocol, Self, TypeVar
@@ -50,7 +49,7 @@ def serve_door(
     bind: Callable[[], Awaitable[D]],
     opened: Callable[[], AbstractAsyncContextManager[GatewayService]],
     tell: Callable[[D, GatewayService], None],
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Serve a door until Ctrl-C. bind: gives it its address, before anything else: a port in use is told while nothing moves yet.
     opened: the machine. tell: says where the door is. seconds: end after this time. Raises why the door failed, too."""
@@ -60,7 +59,7 @@ def serve_door(
         door = await bind()
         async with door, opened() as service:
             tell(door, service)
-            with _old_objects_at_rest(), trio.move_on_after(math.inf if seconds is None else seconds):
+            with _old_objects_at_rest(), trio.move_on_after(seconds):
                 await door.serve(service)
         if door.failure is not None:
             raise door.failure

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import click
-
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, common, lasting
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.web_address import BindDoor, web_address
@@ -13,16 +11,16 @@ from canopen_gateway import GatewayService, Permission
 from canopen_gateway.web import WebDoor
 
 
-@click.command(name="web")
+@command(name="web")
 @web_address
 @allowing
 @lasting()
-@common
 def serve_web(
     settings: Settings,
+    screen: Screen,
     bind_door: BindDoor,
     allow: frozenset[Permission],
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Serve a machine as a page in a browser, and by HTTP, until Ctrl-C. Needs the extra `web`.
 
@@ -35,7 +33,6 @@ def serve_web(
     canopen serve web -m cell.toml --allow motion   jog its chains, with a dead man's switch
     canopen serve web -b can0 --bind 0.0.0.0 --name cell7.lan --cert cell7.pem --key cell7.key
     """
-    screen = settings.screen()
     serve_door(
         settings,
         screen,

@@ -8,7 +8,7 @@ import click
 
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, TextKind, common, lasting
+from canopen_cli.shared.options import Settings, TextKind, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
@@ -26,7 +26,7 @@ class SiteName(TextKind):
         return check_name("site", text)
 
 
-@click.command(name="zenoh")
+@command(name="zenoh")
 @click.option("--site", type=SiteName(), required=True, metavar="NAME", help="The name of this computer, or its machine: hall-2.")
 @click.option(
     "--listen", type=Endpoint(), multiple=True, metavar="ENDPOINT", help=f"Where to listen.  [default: {DEFAULT_ENDPOINT}]"
@@ -43,9 +43,9 @@ class SiteName(TextKind):
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
 @click.option("--twin", is_flag=True, help="Serve though another bridge has the same site and bus: both halt, no more.")
 @lasting()
-@common
 def serve_zenoh(
     settings: Settings,
+    screen: Screen,
     site: str,
     listen: tuple[str, ...],
     connect: tuple[str, ...],
@@ -53,7 +53,7 @@ def serve_zenoh(
     allow: frozenset[Permission],
     reachable: bool,
     twin: bool,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Bring the buses of this computer into a fleet, on Zenoh, until Ctrl-C.
 
@@ -65,7 +65,6 @@ def serve_zenoh(
     canopen fleet ls
     canopen serve zenoh --site hall-3 -m cell.toml --connect tcp/plant:7447 --zenoh hall-3.json5
     """
-    screen = settings.screen()
     endpoints = listen or (() if config is not None or connect else (DEFAULT_ENDPOINT,))
 
     serve_door(

@@ -7,13 +7,13 @@ from typing import Final
 
 import click
 
-from canopen_cli.shared.options import Settings
+from canopen_cli.shared.options import FILE, Settings
 from canopen_cli.shared.problem import usage
 from canopen_master.machine_file import MachineFile
 
 _YAML: Final = (".yaml", ".yml")
 
-machine_argument = click.argument("file", metavar="[MACHINE]", type=click.Path(dir_okay=False, path_type=Path), required=False)
+machine_argument = click.argument("file", metavar="[MACHINE]", type=FILE, required=False)
 """The machine file; without it that of -m or CANOPEN_MACHINE."""
 
 

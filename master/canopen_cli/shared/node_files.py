@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from canopen_cli.shared.device_files import DeviceFiles, description_of, read_device_files
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.screen import Screen
+from canopen_cli.shared.screen import Screen, escape
+from canopen_data import load_dictionary
+from canopen_data.findings import Severity
 from canopen_proto.dictionary import ObjectDictionary
 
 if TYPE_CHECKING:
@@ -23,10 +25,10 @@ class NodeFiles:
     be used.
     """
 
-    def __init__(self, settings: Settings, screen: Screen, names: ObjectDictionary) -> None:
-        """names: the dictionary of the data files."""
+    def __init__(self, settings: Settings, screen: Screen) -> None:
         self.settings = settings
         self._screen = screen
+        names = read_dictionary(screen)
         self._own: DeviceFiles = {
             node_id: self._laid_over(each)
             for node_id, each in read_device_files(settings.eds, names, screen, settings.encoding).items()
@@ -72,6 +74,17 @@ class NodeFiles:
 
     def _laid_over(self, description: DeviceDescription) -> DeviceDescription:
         return replace(description, dictionary=overlaid(description.dictionary, self.settings.overlays, self._screen))
+
+
+def read_dictionary(screen: Screen) -> ObjectDictionary:
+    """Read the object dictionary. Tells if a user's own file is used; with -v also warnings about it."""
+    dictionary, findings = load_dictionary()
+    for finding in findings:
+        if finding.severity is Severity.NOTICE:
+            screen.say(f"[dim]{escape(finding.source)}: {escape(finding.message)}[/]")
+        else:
+            screen.detail(str(finding))
+    return dictionary
 
 
 def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen) -> ObjectDictionary:

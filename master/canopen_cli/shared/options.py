@@ -1,6 +1,6 @@
 """The options and kinds of argument that all commands share.
 
-`common` adds -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They
+`command` makes one that has -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color. They
 may also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus, and
 CANOPEN_MACHINE the machine file, if no option does; behind these the configuration file does (configuration.py).
 """
@@ -12,6 +12,8 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import wraps
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
@@ -41,6 +43,8 @@ _COMMON_FLAGS: Final = "-b, -m, -e, --json, -v ..."
 _OBJECT: Final = "canopen.object"
 """The key, in `click.Context.meta`, of an object that stands at its node."""
 _NODE_ID: Final = re.compile(r"0[xX][0-9A-Fa-f]+|[0-9]+")
+FILE: Final = click.Path(dir_okay=False, path_type=Path)
+"""A file, perhaps one that is not there yet."""
 DEMO: Final = "demo"
 """The bus on which six simulated drives live, in the same process."""
 
@@ -422,6 +426,23 @@ def option_group(*options: Callable[[Any], Any]) -> Callable[[F], F]:
     return add
 
 
+def together(name: str, make: Callable[..., Any], *options: Callable[[Any], Any]) -> Callable[[F], F]:
+    """Return what adds several options to a command, which gets one argument of this name for all of them. make: takes the values
+    of these options, and of others of the command, by their names."""
+    taken = tuple(signature(make).parameters)
+
+    def add(command: F) -> F:
+        @wraps(command)
+        def run(*arguments: Any, **values: Any) -> Any:
+            values[name] = make(**{each: values.pop(each) for each in taken if each in values})
+            return command(*arguments, **values)
+
+        added: Any = run
+        return option_group(*options)(added)  # type: ignore[no-any-return]
+
+    return add
+
+
 def _option(*names: str, **attributes: Any) -> Callable[[F], F]:
     return click.option(*names, callback=_store, expose_value=False, **attributes)
 
@@ -438,15 +459,17 @@ class CommonOption(click.Option):
 def lasting(help_text: str = "End after this time, instead of by Ctrl-C: 10s.", **attributes: Any) -> Callable[[F], F]:
     """Add the option by which all commands take how long they go on. The command takes `seconds`.
 
-    attributes: `low`, `high` and `low_open` of the time, in seconds; and what click.option takes.
+    attributes: `low`, `high` and `low_open` of the time, in seconds; and what click.option takes. Without a default it is inf.
     """
+    if not attributes.get("required"):
+        attributes.setdefault("default", math.inf)
     bounds = {name: attributes.pop(name) for name in ("low", "high", "low_open") if name in attributes}
     return click.option("--for", "--seconds", "seconds", type=Seconds(**bounds), help=help_text, **attributes)
 
 
-def until_text(seconds: float | None) -> str:
+def until_text(seconds: float) -> str:
     """Return how long a command goes on, for people. seconds: by --for."""
-    return "until Ctrl-C" if seconds is None else f"for {seconds:g} s"
+    return "until Ctrl-C" if seconds == math.inf else f"for {seconds:g} s"
 
 
 def enabling(command: F) -> F:
@@ -478,7 +501,19 @@ def _common_option(*names: str, **attributes: Any) -> Callable[[F], F]:
     return _option(*names, cls=CommonOption, **attributes)
 
 
-common: Final = option_group(
+def _with_screen(command: F) -> F:
+    """Give a command the settings and the screen."""
+
+    @click.pass_obj
+    @wraps(command)
+    def run(settings: Settings, *arguments: Any, **values: Any) -> Any:
+        return command(settings, settings.screen(), *arguments, **values)
+
+    added: Any = run
+    return added  # type: ignore[no-any-return]
+
+
+common_options: Final = option_group(
     _common_option(
         "-b",
         "--bus",
@@ -488,7 +523,7 @@ common: Final = option_group(
     _common_option(
         "-m",
         "--machine",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE.toml",
         help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
     ),
@@ -510,7 +545,7 @@ common: Final = option_group(
     _common_option("--timeout", type=Duration(is_seconds=True), help="For one answer of a node: 500ms, 2s; also 2, as --for."),
     _common_option(
         "--trace",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE",
         help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
     ),
@@ -519,6 +554,30 @@ common: Final = option_group(
     _common_option("-q", "--quiet", is_flag=True, help="Only results and errors."),
     _common_option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
     _common_option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
-    click.pass_obj,
 )
-"""The options that every command has. The command gets their values as its first argument, `settings`."""
+"""The options that every command has. The settings have their values."""
+
+
+def _common_params() -> list[click.Parameter]:
+    @click.command()
+    @common_options
+    def bearer() -> None:
+        """Has these alone."""
+
+    return bearer.params
+
+
+def command(
+    name: str | None = None, *, cls: type[click.Command] = click.Command, group: click.Group | None = None
+) -> Callable[[Callable[..., Any]], click.Command]:
+    """As click.command. The command has the common options, and gets `settings` and `screen` as its first arguments. group: to
+    which it is added."""
+
+    def make(function: Callable[..., Any]) -> click.Command:
+        made: click.Command = click.command(name, cls)(_with_screen(function))
+        made.params += _common_params()
+        if group is not None:
+            group.add_command(made)
+        return made
+
+    return make

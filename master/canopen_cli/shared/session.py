@@ -17,8 +17,6 @@ from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import Screen, escape
-from canopen_data import load_dictionary
-from canopen_data.findings import Severity
 from canopen_master.claims.channel_claim import SHORT, channel_claim
 from canopen_master.claims.further_channels import FurtherChannels
 from canopen_master.errors import NO_ANSWER, SdoTimeoutError
@@ -108,17 +106,6 @@ class BusSession:
         return self.master.bus().network
 
 
-def read_dictionary(screen: Screen) -> ObjectDictionary:
-    """Read the object dictionary. Tells if a user's own file is used; with -v also warnings about it."""
-    dictionary, findings = load_dictionary()
-    for finding in findings:
-        if finding.severity is Severity.NOTICE:
-            screen.say(f"[dim]{escape(finding.source)}: {escape(finding.message)}[/]")
-        else:
-            screen.detail(str(finding))
-    return dictionary
-
-
 def simulated_drives(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[SimulatedDevices]:
     """See serving.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
     from canopen_master.simulation import serving
@@ -135,7 +122,7 @@ async def open_session(
     heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
     """
     bus = settings.required_bus()
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     async with AsyncExitStack() as stack:
         if bus == DEMO:
             from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES

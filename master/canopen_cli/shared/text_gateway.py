@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import read_dictionary
 from canopen_gateway.ascii import RemoteGateway, open_remote_gateway
 from canopen_master.master import SDO_TIMEOUT
 
@@ -25,7 +24,7 @@ class TextSession:
 @asynccontextmanager
 async def open_text(settings: Settings, screen: Screen) -> AsyncIterator[TextSession]:
     """Connect to the text gateway of the options while the block runs. Raises NoGatewayError, GatewayRefusedError."""
-    files = NodeFiles(settings, screen, read_dictionary(screen))
+    files = NodeFiles(settings, screen)
     async with open_remote_gateway(settings.required_bus()) as gateway:
         if settings.sdo_timeout is not None:
             await gateway.set_sdo_timeout(settings.sdo_timeout)

@@ -19,24 +19,23 @@ REDRAW: Final = 0.1
 
 
 @asynccontextmanager
-async def time_left(screen: Screen, label: str, seconds: float | None, ending: str = "Ctrl-C ends it") -> AsyncIterator[None]:
+async def time_left(screen: Screen, label: str, seconds: float = math.inf, ending: str = "Ctrl-C ends it") -> AsyncIterator[None]:
     """Show how far a wait is while the block runs. Nothing of the block may be drawn, or print to stdout.
 
-    label: what is waited for. seconds: how long it takes, or takes at most; None if nobody knows. ending: how it ends before.
+    label: what is waited for. seconds: how long it takes, or takes at most; inf if nobody knows. ending: how it ends before.
     """
-    if not screen.draws or screen.json_output or (seconds is not None and seconds <= PATIENCE):
+    if not screen.draws or screen.json_output or seconds <= PATIENCE:
         yield
         return
-    total = seconds if seconds is not None and seconds < math.inf else None
     async with first_error(), trio.open_nursery() as nursery:
-        nursery.start_soon(_draw, screen, label, total, ending)
+        nursery.start_soon(_draw, screen, label, seconds, ending)
         try:
             yield
         finally:
             nursery.cancel_scope.cancel()
 
 
-async def _draw(screen: Screen, label: str, seconds: float | None, ending: str) -> None:
+async def _draw(screen: Screen, label: str, seconds: float, ending: str) -> None:
     from rich.progress import (  # a terminal's alone
         BarColumn,
         Progress,
@@ -46,9 +45,9 @@ async def _draw(screen: Screen, label: str, seconds: float | None, ending: str) 
         TimeRemainingColumn,
     )
 
-    start = trio.current_time()
+    start, is_known = trio.current_time(), seconds < math.inf
     columns: tuple[ProgressColumn, ...] = (TextColumn(escape(label)), BarColumn(30), TimeRemainingColumn())
-    if seconds is None:
+    if not is_known:
         await trio.sleep(PATIENCE)
         columns = (TextColumn(escape(label)), TimeElapsedColumn(), TextColumn(f"[dim]{escape(ending)}[/]"))
     with Progress(
@@ -60,10 +59,10 @@ async def _draw(screen: Screen, label: str, seconds: float | None, ending: str) 
         redirect_stderr=False,
         get_time=trio.current_time,
     ) as bar:
-        task = bar.add_task("", total=seconds)
+        task = bar.add_task("", total=seconds if is_known else None)
         bar.tasks[0].start_time = start
         while True:
-            if seconds is not None:
+            if is_known:
                 bar.update(task, completed=min(seconds, trio.current_time() - start))
             bar.refresh()
             await trio.sleep(REDRAW)

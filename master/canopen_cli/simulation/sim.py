@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.shared.options import DEMO, Duration, Settings, common, lasting
+from canopen_cli.shared.options import DEMO, Duration, Settings, command, lasting, until_text
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -45,7 +44,7 @@ from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, Shape
 DEFAULT_IDS: Final = DEMO_NODES
 
 
-@click.command()
+@command()
 @click.argument("files", metavar="[[NODES=]FILE]...", nargs=-1)
 @click.option(
     "--id",
@@ -78,9 +77,9 @@ DEFAULT_IDS: Final = DEMO_NODES
 )
 @click.option("--erase-time", type=Duration(MILLISECOND), help="Of boot loaders.  [default: 300ms]")
 @lasting()
-@common
 def sim(
     settings: Settings,
+    screen: Screen,
     files: tuple[str, ...],
     node_ids: tuple[int, ...] | None,
     profile: str,
@@ -91,7 +90,7 @@ def sim(
     boot_loader: bool,
     hold_clear: bool,
     erase_time: Time | None,
-    seconds: float | None,
+    seconds: float,
 ) -> None:
     """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, written in Python, or drives of our own.
 
@@ -111,7 +110,6 @@ def sim(
     canopen sim plant.toml
     canopen sim cell.toml                  each device of a machine file, on all of its buses; with -b NAME on that one
     """
-    screen = settings.screen()
     files += settings.eds  # -e means the same here: the file of a device
     if boot_loader and files:
         if node_ids:
@@ -151,17 +149,17 @@ def sim(
     async def serve() -> None:
         what, block = devices()
         async with block as served:
-            screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+            screen.say(f"[bold]{what} on {escape(bus)}[/], {until_text(seconds)}")
             if locator.startswith("virtual:"):
                 screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
             if settings.json:
                 screen.json({"bus": locator, "nodes": served.node_ids})
-            await trio.sleep(math.inf if seconds is None else seconds)
+            await trio.sleep(seconds)
 
     run_until_interrupted(settings, screen, serve, devices=True)
 
 
-def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, state: str | None, seconds: float | None) -> None:
+def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, state: str | None, seconds: float) -> None:
     """Serve the devices of a machine until Ctrl-C, or for some seconds."""
     by_bus = devices_of_machine(machine, buses_of(machine, settings), settings.overlays, teller(screen))
     keeper = _keeper(state or machine.beside(machine.state))
@@ -172,7 +170,7 @@ def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, sta
                 screen.say(f"[bold]{counted(len(made), 'simulated device')} on {escape(name)}[/], {escape(locator)}")
             if settings.json:
                 screen.json({name: locator for name, (locator, _) in by_bus.items()})
-            await trio.sleep(math.inf if seconds is None else seconds)
+            await trio.sleep(seconds)
 
     run_until_interrupted(settings, screen, serve, devices=True)
 

@@ -35,13 +35,13 @@ from canopen_cli.tui.shown import (
     ValueShown,
 )
 from canopen_gateway import GatewayError, GatewayService, GatewaySession, ValueSeen, WatchedObject
+from canopen_gateway.errors import first_line
 from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.plain_data import (
     EXPECTED,
     Plain,
     error_data,
     event_data,
-    first_line,
     lease_data,
     net_data,
     node_ids,
@@ -49,11 +49,10 @@ from canopen_gateway.plain_data import (
     plain_value,
     view_data,
 )
-from canopen_master import Node
+from canopen_gateway.values import decoded
 from canopen_master.errors import NodeIsNoDriveError
 from canopen_master.monitor_words import finding_text
 from canopen_master.plain_text import clean
-from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND
@@ -76,11 +75,8 @@ LOOK_AGAIN: Final = 1.5
 """Seconds between two looks at the drives, while they are shown."""
 VALUES_EACH: Final = 0.25
 """Seconds between two values of an object that no PDO brings."""
-HEARTBEAT_TIME: Final = 2_500_000_000
-"""ns without a heartbeat until it counts as lost: the usual period is 1 s, and two of them may be late."""
 CURVE: Final = 60
 """Numbers of a watched object that are drawn."""
-DEVICE_NAME: Final = indices.MANUFACTURER_DEVICE_NAME, 0
 REFUSED: Final = (GatewayError, *EXPECTED, ProcedureError, CommandError)
 """What the user is told, and no more: the machine or the gateway says no, or a node is silent."""
 
@@ -143,12 +139,12 @@ class MachineWatch:
         self._records.append(record)
 
     async def _refresh(self) -> None:
-        watched: set[NodePlace] = set()
         before, told = 0, trio.current_time()
         rate = 0.0
         while True:
             await self._understand()
-            self._watch_heartbeats(watched)
+            self._session.watch_heard()
+            self._name_objects()
             now = trio.current_time()
             if now - told >= 1.0:
                 rate, before, told = (self._frames - before) / (now - told), self._frames, now
@@ -194,15 +190,10 @@ class MachineWatch:
         self._findings += 1
         self._add_line(TrafficLine(LineKind.FINDING, seconds, "", "", node_id, text))
 
-    def _watch_heartbeats(self, watched: set[NodePlace]) -> None:
-        """Be told of the states of nodes that have a heartbeat; and know each by its own file."""
-        for net in self.service.nets:
-            network = self.service.master.bus(net).network
-            for node_id in network.heard_nodes():
-                if (net, node_id) not in watched and network.heard(node_id).state_time is not None:
-                    watched.add(NodePlace(net, node_id))
-                    self._session.watch_heartbeat(net, node_id, HEARTBEAT_TIME)
-            if self._files is not None:
+    def _name_objects(self) -> None:
+        """Know each node by its own file."""
+        if self._files is not None:
+            for net in self.service.nets:
                 for node_id in node_ids(self.service.master, net):
                     self.service.master.node(node_id, self._files.dictionary_of(node_id), bus=net)
 
@@ -340,17 +331,17 @@ class MachineWatch:
         self.notices.append((f"{counted(len(places), 'node')} known", False))
         for place in places:
             with suppress(*REFUSED):  # a node without a name, or a silent one, is no error
-                data = await self._session.read(*place, *DEVICE_NAME)
-                self._names[place] = clean(data.decode("latin-1"))
+                self._names[place] = await self._session.read_name(*place)
 
     async def _read(self, place: ObjectPlace) -> None:
-        node = self.service.node(place.net, place.node_id)
+        dictionary = self.service.node(place.net, place.node_id).dictionary
         try:
             data = await self._session.read(*place.parts)
         except REFUSED as error:
             self._objects[place] = ReadObject("", clean(first_line(error)))
             raise
-        self._objects[place] = ReadObject(shown_value(node.dictionary, place, _value_of(node, place, data)))
+        value = decoded(dictionary, place.index, place.subindex, data)
+        self._objects[place] = ReadObject(shown_value(dictionary, place, value))
 
     async def _write(self, place: ObjectPlace, text: str) -> None:
         node = self.service.node(place.net, place.node_id)
@@ -454,14 +445,6 @@ def shown_value(dictionary: ObjectDictionary, place: ObjectPlace, value: Value) 
     text = physical_text(variable, value) or value_text(variable, value)
     names = ", ".join(dictionary.names_of(variable, value))
     return clean(f"{text} ({names})" if names else text)
-
-
-def _value_of(node: Node, place: ObjectPlace, data: bytes) -> Value:
-    variable = node.dictionary.get(place.index, place.subindex)
-    try:
-        return data if variable is None else variable.decode(data)
-    except ValueError:  # another length than its type has
-        return data
 
 
 def _place_of(watched: WatchedObject) -> ObjectPlace:

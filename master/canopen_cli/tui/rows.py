@@ -7,7 +7,7 @@ leave, so that a table is as wide as its terminal.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from rich.text import Text
 from textual import events
@@ -47,18 +47,18 @@ class Rows(DataTable[Text]):
     def __init__(self, columns: Sequence[RowsColumn], *, id: str) -> None:
         super().__init__(id=id, cursor_type="row", cell_padding=1, header_height=1)
         self._all = tuple(columns)
-        self._given: list[tuple[str, tuple[Text, ...]]] = []
+        self._given: list[tuple[Any, tuple[Text, ...]]] = []
         self._places: list[int] = []
-        self._shown: list[tuple[str, tuple[Text, ...]]] = []
+        self._shown: list[tuple[Any, tuple[Text, ...]]] = []
         self._width = 0
 
     @property
-    def key(self) -> str | None:
-        """The key of the row at the cursor; None if there is no row."""
+    def chosen(self) -> Any:
+        """What the row at the cursor is about; None if there is no row."""
         return self._shown[self.cursor_row][0] if 0 <= self.cursor_row < len(self._shown) else None
 
-    def fill(self, rows: Iterable[tuple[str, Sequence[Text]]]) -> None:
-        """Show these rows, each with its key. The cursor stays at its row, if that is still there."""
+    def fill(self, rows: Iterable[tuple[Any, Sequence[Text]]]) -> None:
+        """Show these rows, each with what it is about. The cursor stays at its row, if that is still there."""
         self._given = [(key, tuple(cells)) for key, cells in rows]
         self._show()
 
@@ -90,11 +90,11 @@ class Rows(DataTable[Text]):
             return
         rows = [(key, tuple(self._aligned(cells, place) for place in self._places)) for key, cells in self._given]
         if [key for key, _ in rows] != [key for key, _ in self._shown]:
-            at = self.key
+            at = self.chosen
             top = self.scroll_y
             self.clear()
             for key, cells in rows:
-                self.add_row(*cells, key=key)
+                self.add_row(*cells, key=str(key))
             keys = [key for key, _ in rows]
             if at in keys:
                 self.move_cursor(row=keys.index(at), scroll=False)
@@ -103,7 +103,7 @@ class Rows(DataTable[Text]):
             for (key, cells), (_, before) in zip(rows, self._shown, strict=True):
                 for number, (each, was) in enumerate(zip(cells, before, strict=True)):
                     if each != was:
-                        self.update_cell(key, str(number), each)
+                        self.update_cell(str(key), str(number), each)
         self._shown = rows
 
     def _aligned(self, cells: Sequence[Text], place: int) -> Text:

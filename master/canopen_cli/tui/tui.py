@@ -9,19 +9,17 @@ import sys
 from collections import deque
 from typing import Any
 
-import click
 from rich.text import Text
 
 from canopen_cli.live.frame_lines import Buses
 from canopen_cli.serve.served import open_with_files
 from canopen_cli.shared.importing import importing
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.permissions import allow_option
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import read_dictionary
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_cli.tui.guest import run_beside
 from canopen_cli.tui.machine_watch import MachineWatch
@@ -33,10 +31,9 @@ from canopen_transports.tracing import listening
 LEAST_COLUMNS, LEAST_LINES = 40, 10
 
 
-@click.command()
+@command()
 @allow_option("What may be changed: write, motion, store, program, nmt, lss")
-@common
-def tui(settings: Settings, allow: frozenset[Permission]) -> None:
+def tui(settings: Settings, screen: Screen, allow: frozenset[Permission]) -> None:
     """A view that stays open: nodes, objects, emergencies, live values, traffic, drives. Needs the extra `tui`.
 
     1 to 6 choose a view, ? shows all keys, q or Ctrl-C ends. It only listens until something is looked at: objects are read by
@@ -48,21 +45,21 @@ def tui(settings: Settings, allow: frozenset[Permission]) -> None:
     canopen tui -b can0 -e 5=drive.eds --allow write,nmt
     canopen tui -m cell.toml                all buses of a machine
     """
-    _require_terminal(settings)
+    _require_terminal(settings, screen)
     screen = _HiddenScreen(settings)
     view = _Running(settings, screen, allow)
     run_until_interrupted(settings, screen, view.serve, loop=run_beside(view.show, view.end))
     view.require_good_end()
 
 
-def _require_terminal(settings: Settings) -> None:
+def _require_terminal(settings: Settings, screen: Screen) -> None:
     """Raise a CommandError if there is no terminal that can show a view; LibraryMissingError."""
     instead = ("canopen top --once", "canopen monitor", "canopen serve web")
     if settings.json:
         raise usage("CO123", "a view has no JSON", tries=("canopen top --json", *instead[1:]))
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise usage("CO122", "a view needs a terminal, for its keys and its picture", seen="nothing was opened", tries=instead)
-    if settings.screen().err.is_dumb_terminal:
+    if screen.err.is_dumb_terminal:
         term = os.environ.get("TERM", "")
         raise usage(
             "CO122",
@@ -109,7 +106,7 @@ class _Running:
                 open_with_files(settings, screen) as (master, files),
                 open_gateway(master, allow=self._allow) as service,
             ):
-                known = files or NodeFiles(settings, screen, read_dictionary(screen))
+                known = files or NodeFiles(settings, screen)
                 with service.open_session("the view") as session:
                     buses = Buses(known, bitrate=settings.told_bitrate() or 0)
                     self._watch = MachineWatch(service, session, files, trace, buses)

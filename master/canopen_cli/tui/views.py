@@ -84,7 +84,7 @@ class NodesView(Pane):
                     cell(drives),
                     cell(net["name"]),
                 )
-                rows.append((node_key(NodePlace(net["name"], node["node"])), cells))
+                rows.append((NodePlace(net["name"], node["node"]), cells))
         self._rows.fill(rows)
         note = "" if rows else "No node was heard yet. f asks all node-IDs (it reads their device types)."
         self._note.update(Text(note, style="dim"))
@@ -92,8 +92,8 @@ class NodesView(Pane):
     @property
     def chosen(self) -> NodePlace | None:
         """The node at the cursor."""
-        key = self._rows.key
-        return None if key is None else place_of(key)
+        place: NodePlace | None = self._rows.chosen
+        return place
 
 
 class ObjectsView(Pane):
@@ -161,7 +161,7 @@ class ObjectsView(Pane):
                 cell(str(each.access)),
                 value,
             )
-            rows.append((place_text(each.index, each.subindex), cells))
+            rows.append(((each.index, each.subindex), cells))
         self._rows.fill(rows)
         head = f"{node_text(self.node.node_id)} on {clean(self.node.net)}: {counted(len(found), 'object')}"
         self._node.update(Text(head, style="bold", no_wrap=True, overflow="ellipsis"))
@@ -198,11 +198,8 @@ class ObjectsView(Pane):
     @property
     def place(self) -> ObjectPlace | None:
         """The object at the cursor."""
-        key = self._rows.key
-        if key is None or self.node is None:
-            return None
-        index, _, subindex = key.partition(":")
-        return ObjectPlace(*self.node, int(index, 16), int(subindex, 16))
+        chosen = self._rows.chosen
+        return None if chosen is None or self.node is None else ObjectPlace(*self.node, *chosen)
 
     @property
     def variable(self) -> Variable | None:
@@ -263,7 +260,7 @@ class EventsView(Pane):
                 cell(f"0x{each['register']:02X}" if is_emergency else ""),
                 cell(each.get("vendor", "")),
             )
-            rows.append((str(number), cells))
+            rows.append((number, cells))
         self._rows.fill(rows)
         count = sum(each["kind"] == "emergency" for each in machine.events)
         told = f"the last {counted(len(machine.events), 'event')}, the newest first; emergencies: {count}"
@@ -305,7 +302,7 @@ class ValuesView(Pane):
                 cell("" if each.age is None else f"{each.age:.1f} s"),
                 cell(small_curve(each.curve)),
             )
-            rows.append((object_key(place), cells))
+            rows.append((place, cells))
         self._rows.fill(rows)
         note = "" if rows else "Nothing is watched yet: press w at an object in view 2."
         self._note.update(Text(note, style="dim"))
@@ -313,8 +310,8 @@ class ValuesView(Pane):
     @property
     def chosen(self) -> ObjectPlace | None:
         """The object at the cursor."""
-        key = self._rows.key
-        return None if key is None else object_of(key)
+        place: ObjectPlace | None = self._rows.chosen
+        return place
 
 
 class TrafficLines(Static, can_focus=True):
@@ -433,7 +430,7 @@ class DrivesView(Pane):
                 style = "green" if not each.data["reasons"] else ""
                 fault = "bold red" if each.data["error"] else "bold"
                 cells = (cell(name), cell(each.data["state"], fault), cell(each.data["mode"] or ""), cell(why, style))
-            rows.append((f"{node_key(each.place)}.{each.axis}", cells))
+            rows.append(((each.place, each.axis), cells))
         self._rows.fill(rows)
         self._tell_detail()
 
@@ -455,8 +452,8 @@ class DrivesView(Pane):
     @property
     def chosen(self) -> DriveShown | None:
         """The drive at the cursor."""
-        key = self._rows.key
-        return next((each for each in self._machine.drives if f"{node_key(each.place)}.{each.axis}" == key), None)
+        chosen = self._rows.chosen
+        return next((each for each in self._machine.drives if (each.place, each.axis) == chosen), None)
 
 
 VIEWS: Final[Sequence[type[Pane]]] = (NodesView, ObjectsView, EventsView, ValuesView, TrafficView, DrivesView)
@@ -517,29 +514,6 @@ def object_name(dictionary: ObjectDictionary, variable: Variable) -> str:
     if holder is None or len(holder.variables) == 1 or variable.name.startswith(holder.name):
         return variable.name
     return f"{holder.name}: {variable.name}"
-
-
-def node_key(place: NodePlace) -> str:
-    """Return the key of a row for a node."""
-    return f"{place.node_id} {place.net}"
-
-
-def place_of(key: str) -> NodePlace:
-    """Return the node of such a key."""
-    number, _, net = key.partition(" ")
-    return NodePlace(net, int(number))
-
-
-def object_key(place: ObjectPlace) -> str:
-    """Return the key of a row for an object."""
-    return f"{place.index:04X}:{place.subindex:02X} {node_key(place.node)}"
-
-
-def object_of(key: str) -> ObjectPlace:
-    """Return the object of such a key."""
-    where, _, node = key.partition(" ")
-    index, _, subindex = where.partition(":")
-    return ObjectPlace(*place_of(node), int(index, 16), int(subindex, 16))
 
 
 def known(places: Iterable[Plain]) -> list[NodePlace]:

@@ -9,18 +9,18 @@ Nothing that a client asks for raises anything here: each request has one answer
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Final
+from typing import Final, TypeVar
 
 import trio
 
 from canopen_gateway.errors import GatewayError, GatewayFullError, LeaseError, NotAllowedError, PdoTakenError
 from canopen_gateway.layer_settings import INQUIRIES, LayerSettings, window_of
+from canopen_gateway.nmt_words import NMT_OF
 from canopen_gateway.service import GatewaySession, HeardOnNet
 from canopen_master import MasterError, SdoError, SdoNotConfirmedError
-from canopen_proto import LocalProtocolError, NmtCommand, ProcedureError
+from canopen_proto import LocalProtocolError, ProcedureError
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import bit_length_of
 from canopen_proto.frame import COB_ID_INVALID, UNCONFIGURED
@@ -54,16 +54,20 @@ SDO_TIMEOUT_MS: Final = 500
 """Where a client sets none: what CANopenNode has."""
 PROTOCOL: Final = "3.0"
 """The version of CiA 309-3 whose commands these are, as CANopenNode says."""
+T = TypeVar("T")
+
 LOGGER: Final = logging.getLogger("canopen_gateway")
 
 C = GatewayCommand
-_NMT: Final = {
-    C.START: NmtCommand.START,
-    C.STOP: NmtCommand.STOP,
-    C.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
-    C.RESET_NODE: NmtCommand.RESET_NODE,
-    C.RESET_COMMUNICATION: NmtCommand.RESET_COMMUNICATION,
+_METHODS: Final = {
+    **dict.fromkeys(NMT_OF, "nmt"),
+    **dict.fromkeys((C.SET_RPDO, C.SET_TPDO, C.SET_TPDOX), "set_pdo"),
+    **dict.fromkeys((C.ENABLE_GUARDING, C.DISABLE_GUARDING), "enable_guarding"),
+    **dict.fromkeys((C.ENABLE_HEARTBEAT, C.DISABLE_HEARTBEAT), "enable_heartbeat"),
+    **dict.fromkeys((C.ENABLE_BOOT_UP, C.DISABLE_BOOT_UP), "boot_up_indication"),
+    **dict.fromkeys((C.HELP, C.HELP_DATATYPE, C.HELP_LSS), "help"),
 }
+"""The methods of `AsciiConnection` that do more than one command. All others have the name of their command."""
 _LSS_ERRORS: Final = {
     LssService.CONFIGURE_NODE_ID: GatewayCode.LSS_NODE_ID,
     LssService.CONFIGURE_BIT_TIMING: GatewayCode.LSS_BIT_RATE,
@@ -108,7 +112,6 @@ class AsciiConnection:
         self._net: int | None = 1 if dialect.assumes_net and len(self._nets) == 1 else None
         self._defaults = {number: NetDefaults() for number in range(1, len(self._nets) + 1)}
         self._command_timeout_ms = 0
-        self._handlers = _handlers(self)
 
     async def answer(self, line: bytes) -> GatewayAnswer | None:
         """Do what a line asks for, and return the answer; None for an empty line, or a comment. line: without its end."""
@@ -132,7 +135,8 @@ class AsciiConnection:
     async def _answer(self, request: GatewayRequest) -> GatewayAnswer:
         sequence = request.sequence
         try:
-            done = await self._handlers[request.command](request)
+            command = request.command
+            done: GatewayAnswer | str | None = await getattr(self, _METHODS.get(command, command.name.lower()))(request)
         except _Refusal as refusal:
             return GatewayAnswer(sequence, code=refusal.code, remark=refusal.remark)
         except NotAllowedError as error:
@@ -202,7 +206,7 @@ class AsciiConnection:
 
     async def nmt(self, request: GatewayRequest) -> None:
         node_id = self._node_of(request, 0)
-        await self._session.nmt(self._net_of(request), _NMT[request.command], node_id)
+        await self._session.nmt(self._net_of(request), NMT_OF[request.command], node_id)
 
     async def halt(self, request: GatewayRequest) -> None:
         """Stop what moves. The default node does not count, and without a net all nets are meant: halting too much is better than
@@ -241,9 +245,7 @@ class AsciiConnection:
     # ---- the gateway itself ----
 
     async def set_id(self, request: GatewayRequest) -> None:
-        (node_id,) = request.numbers
-        if node_id == 0 or 127 < node_id < UNCONFIGURED:
-            raise _out_of_range(node_id, f"1 to 127, or {UNCONFIGURED}")
+        node_id = _new_node_id(request)
         self._service.set_own_id(self._net_of(request), None if node_id == UNCONFIGURED else node_id)
 
     async def set_heartbeat(self, request: GatewayRequest) -> None:
@@ -340,14 +342,10 @@ class AsciiConnection:
 
     async def lss_switch_selective(self, request: GatewayRequest) -> None:
         vendor, product, revision, serial = request.numbers
-        if not await self._lss(request).select(LssAddress(vendor, product, revision, serial)):
-            raise _Refusal(GatewayCode.TIME_OUT)
+        _answered(await self._lss(request).select(LssAddress(vendor, product, revision, serial)) or None)
 
     async def lss_set_node(self, request: GatewayRequest) -> None:
-        (node_id,) = request.numbers
-        if node_id == 0 or 127 < node_id < UNCONFIGURED:
-            raise _out_of_range(node_id, f"1 to 127, or {UNCONFIGURED}")
-        settings = self._lss(request, selected=True)
+        node_id, settings = _new_node_id(request), self._lss(request, selected=True)
         _check_lss(await settings.command("lss_set_node", lambda lss, now: lss.configure_node_id(node_id, now)))
 
     async def lss_configure_bit_rate(self, request: GatewayRequest) -> None:
@@ -367,22 +365,11 @@ class AsciiConnection:
         settings = self._lss(request, selected=True)
         if request.numbers and request.numbers[0] not in (0, 1, 2, 3, *map(int, INQUIRIES)):
             raise _out_of_range(request.numbers[0], f"0 to 3, 0x{min(INQUIRIES):X} to 0x{max(INQUIRIES):X}")
-        wanted: tuple[LssService, ...] = INQUIRIES
-        if request.numbers:
-            number = request.numbers[0]
-            wanted = (INQUIRIES[number] if number < len(INQUIRIES) else LssService(number),)
-        found = []
-        for service in wanted:
-            answer = await settings.inquire(service)
-            if answer is None:
-                raise _Refusal(GatewayCode.TIME_OUT)
-            found.append(answer)
-        return self._numbers(found)
+        wanted = [INQUIRIES[each] if each < len(INQUIRIES) else LssService(each) for each in request.numbers] or INQUIRIES
+        return self._numbers([_answered(await settings.inquire(service)) for service in wanted])
 
     async def lss_get_node(self, request: GatewayRequest) -> str:
-        node_id = await self._lss(request, selected=True).inquire(LssService.INQUIRE_NODE_ID)
-        if node_id is None:
-            raise _Refusal(GatewayCode.TIME_OUT)
+        node_id = _answered(await self._lss(request, selected=True).inquire(LssService.INQUIRE_NODE_ID))
         return str(node_id) if self._dialect.unsigned_hex else f"0x{node_id:02X}"
 
     async def lss_identity(self, request: GatewayRequest) -> None:
@@ -390,20 +377,16 @@ class AsciiConnection:
         reply = await self._lss(request).command(
             "lss_identity", lambda lss, now: lss.identify(vendor, product, (low, high), (first, last), now)
         )
-        if not reply.count:
-            raise _Refusal(GatewayCode.TIME_OUT)
+        _answered(reply.count or None)
 
     async def lss_identify_non_configured(self, request: GatewayRequest) -> None:
         reply = await self._lss(request).command("lss_ident_nonconf", lambda lss, now: lss.identify_non_configured(now))
-        if not reply.count:
-            raise _Refusal(GatewayCode.TIME_OUT)
+        _answered(reply.count or None)
 
     async def lss_slowscan(self, request: GatewayRequest) -> str:
         vendor, product, low, high, first, last = request.numbers
         found = await self._lss(request).slowscan(vendor, product, (low, high), (first, last))
-        if not found:
-            raise _Refusal(GatewayCode.TIME_OUT)
-        return self._numbers(found[0])
+        return self._numbers(_answered(found or None)[0])
 
     async def lss_fastscan(self, request: GatewayRequest) -> str:
         numbers = request.numbers
@@ -416,9 +399,7 @@ class AsciiConnection:
         elif numbers:
             known = _known(numbers[::2], numbers[1::2])
         address = await self._lss(request).fastscan(known, window_of(milliseconds))
-        if address is None:
-            raise _Refusal(GatewayCode.TIME_OUT)
-        return self._numbers(address)
+        return self._numbers(_answered(address))
 
     async def lss_all_nodes(self, request: GatewayRequest) -> GatewayAnswer:
         numbers = request.numbers
@@ -441,6 +422,20 @@ class AsciiConnection:
         return " ".join(f"0x{each:08x}" if self._dialect.unsigned_hex else f"0x{each:08X}" for each in numbers)
 
 
+def _new_node_id(request: GatewayRequest) -> int:
+    (node_id,) = request.numbers
+    if node_id == 0 or 127 < node_id < UNCONFIGURED:
+        raise _out_of_range(node_id, f"1 to 127, or {UNCONFIGURED}")
+    return node_id
+
+
+def _answered(found: T | None) -> T:
+    """Return what was found; nothing is answered as a time-out."""
+    if found is None:
+        raise _Refusal(GatewayCode.TIME_OUT)
+    return found
+
+
 def _known(numbers: tuple[int, ...], masks: tuple[int, ...]) -> Known:
     """Return the numbers of an address that are known, of Lely's pairs of number and mask. A part of a number cannot be known."""
     if any(mask not in (0, 0xFFFF_FFFF) for mask in masks):
@@ -451,56 +446,9 @@ def _known(numbers: tuple[int, ...], masks: tuple[int, ...]) -> Known:
 
 def _check_lss(reply: LssReply) -> None:
     """Refuse what the selected device did not do."""
-    if not reply.answers:
-        raise _Refusal(GatewayCode.TIME_OUT)
-    for answer in reply.answers:
+    for answer in _answered(reply.answers or None):
         if answer[1]:
             raise _Refusal(GatewayCode.LSS_MAKER if answer[1] == _OWN_ERROR else _LSS_ERRORS[reply.service])
-
-
-_Handler = Callable[[GatewayRequest], Awaitable[GatewayAnswer | str | None]]
-
-
-def _handlers(connection: AsciiConnection) -> dict[GatewayCommand, _Handler]:
-    """Return what each command does."""
-    return {
-        C.READ: connection.read,
-        C.WRITE: connection.write,
-        **dict.fromkeys(_NMT, connection.nmt),
-        C.SET_NETWORK: connection.set_network,
-        C.SET_NODE: connection.set_node,
-        C.SET_SDO_TIMEOUT: connection.set_sdo_timeout,
-        C.SET_SDO_BLOCK: connection.set_sdo_block,
-        C.SET_ID: connection.set_id,
-        C.SET_HEARTBEAT: connection.set_heartbeat,
-        C.SET_COMMAND_TIMEOUT: connection.set_command_timeout,
-        C.SET_COMMAND_SIZE: connection.set_command_size,
-        **dict.fromkeys((C.SET_RPDO, C.SET_TPDO, C.SET_TPDOX), connection.set_pdo),
-        C.READ_PDO: connection.read_pdo,
-        C.WRITE_PDO: connection.write_pdo,
-        **dict.fromkeys((C.ENABLE_GUARDING, C.DISABLE_GUARDING), connection.enable_guarding),
-        **dict.fromkeys((C.ENABLE_HEARTBEAT, C.DISABLE_HEARTBEAT), connection.enable_heartbeat),
-        **dict.fromkeys((C.ENABLE_BOOT_UP, C.DISABLE_BOOT_UP), connection.boot_up_indication),
-        C.INIT: connection.init,
-        C.INFO_VERSION: connection.info_version,
-        **dict.fromkeys((C.HELP, C.HELP_DATATYPE, C.HELP_LSS), connection.help),
-        C.LED: connection.led,
-        C.LOG: connection.log,
-        C.LSS_SWITCH_GLOBAL: connection.lss_switch_global,
-        C.LSS_SWITCH_SELECTIVE: connection.lss_switch_selective,
-        C.LSS_SET_NODE: connection.lss_set_node,
-        C.LSS_CONFIGURE_BIT_RATE: connection.lss_configure_bit_rate,
-        C.LSS_ACTIVATE_BIT_RATE: connection.lss_activate_bit_rate,
-        C.LSS_STORE: connection.lss_store,
-        C.LSS_INQUIRE_ADDRESS: connection.lss_inquire_address,
-        C.LSS_GET_NODE: connection.lss_get_node,
-        C.LSS_IDENTITY: connection.lss_identity,
-        C.LSS_IDENTIFY_NON_CONFIGURED: connection.lss_identify_non_configured,
-        C.LSS_SLOWSCAN: connection.lss_slowscan,
-        C.LSS_FASTSCAN: connection.lss_fastscan,
-        C.LSS_ALL_NODES: connection.lss_all_nodes,
-        C.HALT: connection.halt,
-    }
 
 
 _ARGUMENTS: Final = {

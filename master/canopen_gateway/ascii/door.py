@@ -33,10 +33,11 @@ import trio
 from canopen_gateway.ascii.connection import AsciiConnection
 from canopen_gateway.errors import DoorError, GatewayFullError
 from canopen_gateway.limits import Limits
-from canopen_gateway.listening import BACKLOG, SEND_BUFFER, address_of, is_loopback, open_listeners
+from canopen_gateway.listening import BACKLOG, SEND_BUFFER, address_of, open_listeners
 from canopen_gateway.service import GatewayService
 from canopen_proto.gateway import CANOPENNODE, Dialect, GatewayAnswer, GatewayCode, GatewayLines, print_answer
 from canopen_transports.loop.beside import beside
+from canopen_transports.tcp.address import is_loopback
 
 READ_SIZE: Final = 4096
 SILENT_FIRST: Final = 1.0

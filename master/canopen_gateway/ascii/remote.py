@@ -18,6 +18,7 @@ import trio
 
 from canopen_gateway.ascii.address import GatewayAddress, parse_gateway_address
 from canopen_gateway.errors import GatewayRefusedError, NoGatewayError
+from canopen_gateway.nmt_words import NMT_OF
 from canopen_proto import NmtCommand
 from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.gateway import (
@@ -40,13 +41,7 @@ CONNECT_SECONDS: Final = 5.0
 READ_SIZE: Final = 65_536
 EVENTS_KEPT: Final = 256
 _ANY: Final = VALUE_TYPES["d"]
-_COMMANDS: Final = {
-    NmtCommand.START: GatewayCommand.START,
-    NmtCommand.STOP: GatewayCommand.STOP,
-    NmtCommand.ENTER_PRE_OPERATIONAL: GatewayCommand.PRE_OPERATIONAL,
-    NmtCommand.RESET_NODE: GatewayCommand.RESET_NODE,
-    NmtCommand.RESET_COMMUNICATION: GatewayCommand.RESET_COMMUNICATION,
-}
+_COMMANDS: Final = {command: typed for typed, command in NMT_OF.items()}
 
 
 class RemoteGateway:

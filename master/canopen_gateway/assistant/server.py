@@ -19,7 +19,7 @@ from mcp.types import ToolAnnotations
 from canopen_gateway.assistant.bounds import bounded, from_device
 from canopen_gateway.errors import GatewayError
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import find_net, find_node, find_object
+from canopen_gateway.places import bytes_of, find_net, find_node, find_object
 from canopen_gateway.plain_data import (
     EXPECTED,
     STATE_WORDS,
@@ -34,7 +34,6 @@ from canopen_gateway.plain_data import (
     view_data,
 )
 from canopen_gateway.service import GatewayService, GatewaySession
-from canopen_gateway.values_given import bytes_of
 from canopen_master import Node
 from canopen_master.plain_text import json_text
 from canopen_proto.abort import text_of

@@ -39,10 +39,9 @@ from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_bus, parse_key
 from canopen_gateway.fleet.leading import RemoteLead
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import find_object
+from canopen_gateway.places import bytes_of, find_object
 from canopen_gateway.plain_data import names_of_nodes, object_data, value_data
 from canopen_gateway.service import GatewayService, GatewaySession, HeardOnNet
-from canopen_gateway.values_given import bytes_of
 from canopen_master import MasterError, Node
 from canopen_master.errors import SdoError, SdoNotConfirmedError
 from canopen_master.participant.subscription import Subscription

@@ -208,11 +208,7 @@ class Fleet:
         where, text = _place(place, node=True), _text(key)
         if where.node_id < 0 or keys.ANY in where:
             raise ValueError(f"{where} is many nodes: read_all reads them")
-        answers = await self.ask(where, keys.GET, text)
-        if not answers:
-            raise self._away(where)
-        answer = answers[0]
-        return _value_of(where, text, answer)
+        return _value_of(where, text, await self._ask_one(where, keys.GET, text))
 
     async def read_all(self, pattern: FleetPlace | str, key: str | int) -> list[FleetValue]:
         """Read an object of all nodes that a pattern names, side by side: READS_AT_A_TIME of each site; a bridge serves only
@@ -240,11 +236,7 @@ class Fleet:
     async def objects(self, place: FleetPlace | str) -> Sequence[Any]:
         """Return the objects that a node has by its bridge's dictionary: "path" ("6041:00"), "name", "type", "access", "unit",
         "constants" of each, whatever the bridge tells. Raises as `read`; BridgeRefusedError of a bridge that cannot tell it."""
-        where = self._one_node(place)
-        answers = await self.ask(where, keys.OBJECTS)
-        if not answers:
-            raise self._away(where)
-        told = _object(answers[0].data).get("objects")
+        told = _object((await self._ask_one(self._one_node(place), keys.OBJECTS)).data).get("objects")
         return told if isinstance(told, list) else ()
 
     async def write(self, place: FleetPlace | str, key: str | int, value: Value) -> None:
@@ -254,14 +246,12 @@ class Fleet:
         raw = isinstance(value, bytes | bytearray)
         payload = bytes(value) if isinstance(value, bytes | bytearray) else json.dumps(value).encode()
         encoding = "application/octet-stream" if raw else "application/json"
-        if not await self.ask(where, keys.SET, _text(key), payload=payload, encoding=encoding):
-            raise self._away(where, "it may have been written")
+        await self._ask_one(where, keys.SET, _text(key), payload=payload, encoding=encoding, unknown="it may have been written")
 
     async def nmt(self, place: FleetPlace | str, command: NmtCommand) -> None:
         """Send an NMT command to a node. Raises as `write`."""
-        where = self._one_node(place)
-        if not await self.ask(where, keys.COMMAND, payload=_NMT_WORDS[command].encode()):
-            raise self._away(where, "it may have been sent")
+        payload = _NMT_WORDS[command].encode()
+        await self._ask_one(self._one_node(place), keys.COMMAND, payload=payload, unknown="it may have been sent")
 
     async def emergencies(self, place: FleetPlace | str) -> list[FleetEmcy]:
         """Return the last emergencies of a node, oldest first, as its bridge remembers them. Raises as `read`."""
@@ -271,11 +261,7 @@ class Fleet:
 
     async def status(self, place: FleetPlace | str) -> dict[str, Any]:
         """Return what a bridge says of its bus. Raises as `read`."""
-        where = _place(place).bus_place
-        answers = await self.ask(where, keys.STATUS)
-        if not answers:
-            raise self._away(where)
-        return _object(answers[0].data)
+        return _object((await self._ask_one(_place(place).bus_place, keys.STATUS)).data)
 
     async def halt(self, pattern: FleetPlace | str = "*/*") -> dict[FleetPlace, list[str]]:
         """Stop what moves at the places that a pattern names. Returns for each that answered what did not confirm that it stands.
@@ -355,6 +341,21 @@ class Fleet:
         if refused is not None and not answers:
             raise refused
         return answers
+
+    async def _ask_one(
+        self, place: FleetPlace, *rest: str, payload: bytes = b"", encoding: str = "", unknown: str = ""
+    ) -> FleetAnswer:
+        """Send a query, and return its first answer. unknown: what may have become of it, if there is none. Raises as `ask`;
+        FleetError if nobody is there."""
+        answers = await self.ask(place, *rest, payload=payload, encoding=encoding)
+        if not answers:
+            raise FleetError(
+                f"nobody answers for {place}" + (f"; {unknown}" if unknown else ""),
+                seen=self._seen(),
+                cause="its bridge is away, hung, or was told not to answer this program",
+                tries=("canopen fleet ls", "canopen serve zenoh on the computer that has the bus"),
+            )
+        return answers[0]
 
     def _hand_over(self, take: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
         """Return a callback for Zenoh's threads, which lets the loop take each sample."""
@@ -472,14 +473,6 @@ class Fleet:
             raise ValueError(f"{where} is many nodes; this is for one")
         return where
 
-    def _away(self, place: FleetPlace, what: str = "") -> FleetError:
-        return FleetError(
-            f"nobody answers for {place}" + (f"; {what}" if what else ""),
-            seen=self._seen(),
-            cause="its bridge is away, hung, or was told not to answer this program",
-            tries=("canopen fleet ls", "canopen serve zenoh on the computer that has the bus"),
-        )
-
     def _twins(self, place: FleetPlace, changes: bool) -> FleetError:
         return FleetError(
             f"several bridges have the name {place}" + ("; each of them may have done it" if changes else ""),
@@ -538,10 +531,9 @@ class FleetLease:
         """Say what is wanted, and take what the bridge tells. Raises BridgeRefusedError, FleetError."""
         self._sequence += 1
         said = {"client": self._number, "term": self._term, "sequence": self._sequence, "do": do, **what}
-        answers = await self._fleet.ask(self.place, keys.LEASE, payload=json.dumps(said).encode(), encoding="application/json")
-        if not answers:
-            raise self._fleet._away(self.place)
-        told = _object(answers[0].data)
+        payload = json.dumps(said).encode()
+        answer = await self._fleet._ask_one(self.place, keys.LEASE, payload=payload, encoding="application/json")
+        told = _object(answer.data)
         self._term = str(told.get("term", ""))
         self.doing, self.problem = str(told.get("doing", "")), str(told.get("problem", ""))
 

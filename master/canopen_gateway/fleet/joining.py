@@ -9,15 +9,15 @@ TLS, users and access rules are Zenoh's own, in a file of its configuration (JSO
 
 from __future__ import annotations
 
-import ipaddress
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from canopen_gateway.errors import DoorError, FleetError
+from canopen_gateway.errors import DoorError, FleetError, first_line
 from canopen_master.errors import PackageMissingError
 from canopen_transports.loop import current_loop
+from canopen_transports.tcp.address import is_loopback
 
 if TYPE_CHECKING:
     import zenoh
@@ -53,7 +53,7 @@ async def open_zenoh(
     try:
         settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
     except zenoh.ZError as error:
-        raise FleetError(f"{config} is no configuration of Zenoh", seen=_first_line(error)) from error
+        raise FleetError(f"{config} is no configuration of Zenoh", seen=first_line(error)) from error
     _set(settings, "mode", mode)
     for part in ("multicast", "gossip"):
         _set(settings, f"scouting/{part}/enabled", False)
@@ -73,11 +73,11 @@ async def open_zenoh(
         if listens:
             raise DoorError(
                 f"cannot listen at {listens}",
-                seen=_first_line(error),
+                seen=first_line(error),
                 cause="another program has the port, or this computer has no such address",
                 tries=("another port", "canopen fleet router once, and --connect for each bridge"),
             ) from error
-        raise FleetError("the fleet cannot be joined", seen=_first_line(error), tries=("--connect tcp/HOST:7447",)) from error
+        raise FleetError("the fleet cannot be joined", seen=first_line(error), tries=("--connect tcp/HOST:7447",)) from error
 
 
 async def close_zenoh(session: zenoh.Session) -> None:
@@ -102,7 +102,7 @@ def _check_reach(settings: zenoh.Config, reachable: bool) -> None:
         return
     for endpoint in _endpoints(settings, "listen"):
         protocol, _, address = endpoint.partition("/")
-        if not _is_local(address.partition("#")[0].rpartition(":")[0]):
+        if not is_loopback(address.partition("#")[0].rpartition(":")[0].strip("[]")):
             raise DoorError(
                 f"{endpoint} is reachable from other computers",
                 seen=f"{protocol} without users and without certificates of clients",
@@ -123,13 +123,6 @@ def _proves(settings: zenoh.Config) -> bool:
     return mutual and all(each.partition("/")[0] in _TLS for each in endpoints)
 
 
-def _is_local(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 def _endpoints(settings: zenoh.Config, part: str) -> list[str]:
     found = _get(settings, f"{part}/endpoints")
     if isinstance(found, dict):  # by mode
@@ -148,7 +141,3 @@ def _get(settings: zenoh.Config, key: str) -> Any:
 
 def _set(settings: zenoh.Config, key: str, value: object) -> None:
     settings.insert_json5(key, json.dumps(value))
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

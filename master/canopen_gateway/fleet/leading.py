@@ -18,9 +18,8 @@ from typing import Any, Final
 
 from canopen_gateway.errors import LeaseError, QueryRefusedError
 from canopen_gateway.lease import Lease
+from canopen_gateway.places import number_said
 
-MOST: Final = 1e300
-"""The greatest number that a message holds; NaN is none."""
 LEAST_PROOF: Final = 16
 """The fewest signs by which a client proves itself."""
 INTENTS: Final = ("take", "renew", "enable", "jog", "move", "stop", "disable", "leave")
@@ -103,6 +102,7 @@ def _numbers(said: Mapping[str, Any], name: str) -> list[float]:
 
 
 def _number(value: object, name: str) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST:
-        return float(value)
-    raise QueryRefusedError(f'"{name}": {str(value)[:40] if isinstance(value, float) else "this"} is no number')
+    number = number_said(value)
+    if number is None:
+        raise QueryRefusedError(f'"{name}": {str(value)[:40] if isinstance(value, float) else "this"} is no number')
+    return number

@@ -43,8 +43,7 @@ class FleetStatus(FleetNews):
     __match_args__ = ("node_id", "place", "told")
 
     def __init__(self, place: FleetPlace, told: Mapping[str, Any]) -> None:
-        self.node_id = place.node_id
-        self.place = place
+        super().__init__(place)
         self.told = told
 
 
@@ -56,8 +55,7 @@ class FleetState(FleetNews):
     __match_args__ = ("node_id", "place", "state", "time")
 
     def __init__(self, place: FleetPlace, state: NmtState | None, time: int | None = None) -> None:
-        self.node_id = place.node_id
-        self.place = place
+        super().__init__(place)
         self.state = state
         self.time = time
 
@@ -70,8 +68,7 @@ class FleetEmcy(FleetNews):
     __match_args__ = ("node_id", "place", "code", "error_register", "vendor_data", "time")
 
     def __init__(self, place: FleetPlace, code: int, error_register: int, vendor_data: bytes, time: int) -> None:
-        self.node_id = place.node_id
-        self.place = place
+        super().__init__(place)
         self.code = code
         self.error_register = error_register
         self.vendor_data = vendor_data
@@ -107,8 +104,7 @@ class FleetPdo(FleetNews):
         time: int,
         count: PdoCount | None = None,
     ) -> None:
-        self.node_id = place.node_id
-        self.place = place
+        super().__init__(place)
         self.number = number
         self.data = data
         self.fields = fields

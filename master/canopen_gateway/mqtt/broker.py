@@ -8,7 +8,6 @@ The link only publishes. It never subscribes, so a broker has no way to tell it 
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import secrets
 import ssl
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from canopen_gateway.errors import DoorError
 from canopen_master.errors import PackageMissingError
+from canopen_transports.tcp.address import is_loopback
 
 if TYPE_CHECKING:
     import paho.mqtt.client as paho
@@ -156,7 +156,7 @@ class BrokerLink:
 
 def check_secret(address: BrokerAddress, login: BrokerLogin, *, clear_text: bool) -> None:
     """Raise DoorError if a password would cross a network as it is. clear_text: that is meant."""
-    if login.password and not address.is_secure and not clear_text and not _is_local(address.host):
+    if login.password and not address.is_secure and not clear_text and not is_loopback(address.host):
         raise DoorError(
             f"the password would go to {address} unencrypted",
             seen="mqtt:// is without TLS",
@@ -164,13 +164,6 @@ def check_secret(address: BrokerAddress, login: BrokerLogin, *, clear_text: bool
         )
     if not address.is_secure and (login.authority or login.certificate):
         raise DoorError(f"{address} is without TLS, so certificates are of no use", tries=(f"mqtts://{address.host}",))
-
-
-def _is_local(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _tls(login: BrokerLogin) -> ssl.SSLContext:

@@ -45,6 +45,7 @@ from canopen_gateway.plain_data import (
     plain_value,
 )
 from canopen_gateway.service import GatewayService, GatewaySession
+from canopen_gateway.values import decoded
 from canopen_master import MasterError, Node
 from canopen_proto import LocalProtocolError, PdoReceived
 from canopen_proto.bus_knowledge import HeardService
@@ -205,12 +206,7 @@ class MqttDoor:
             told = {"time": _clock(time.time_ns()), "value": None, "problem": str(error_data(error)["text"])[:500]}
             self._tell(f"{self._bus(net)}/{node_id}/values/{_level(key)}", told)
             return
-        variable = node.dictionary.get(index, subindex)
-        value: Value = data
-        if variable is not None:
-            with suppress(ValueError):  # another length than its type has
-                value = variable.decode(data)
-        self._tell_value(node, index, subindex, value, data, time.time_ns())
+        self._tell_value(node, index, subindex, decoded(node.dictionary, index, subindex, data), data, time.time_ns())
 
     def _take_pdos(self) -> None:
         """Look at the PDOs that came since the last time: the last of each kind."""

@@ -36,15 +36,11 @@ from canopen_gateway.errors import (
     NoSuchPlaceError,
     NotAllowedError,
     NotOverFleetError,
+    first_line,
 )
 from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.places import find_axis, find_node
-from canopen_gateway.plain_data import (
-    Plain,
-    error_data,
-    first_line,
-    view_data,
-)
+from canopen_gateway.plain_data import Plain, error_data, view_data
 from canopen_gateway.traffic.network_views import NetworkViews
 from canopen_gateway.traffic.ring import CAPACITY
 from canopen_gateway.traffic.trace import LONGEST, TrafficTrace, number_asked_for
@@ -55,13 +51,12 @@ from canopen_gateway.web.page import page_files
 from canopen_master import BusError, MasterClosedError, MasterError, SdoTimeoutError
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
 from canopen_master.plain_text import clean, json_text
-from canopen_proto import LocalProtocolError, indices
+from canopen_proto import LocalProtocolError
 from canopen_proto.dictionary.model import ConstantNotFoundError, NotInDictionaryError
 from canopen_proto.procedures import ProcedureError
 
 API: Final = "/api/v1"
 OCTETS: Final = "application/octet-stream"
-DEVICE_NAME: Final = indices.MANUFACTURER_DEVICE_NAME, 0
 EVENTS_WAITING: Final = 64
 """Events that wait for one reader of the event stream; a slow one misses the rest."""
 MOST_TRACES: Final = 2

@@ -22,15 +22,16 @@ import trio
 from hypercorn.config import Config
 from hypercorn.trio import serve
 
-from canopen_gateway.errors import DoorError
+from canopen_gateway.errors import DoorError, first_of
 from canopen_gateway.guard import Permission
-from canopen_gateway.listening import address_of, is_loopback, open_listeners
+from canopen_gateway.listening import address_of, open_listeners
 from canopen_gateway.service import GatewayService, GatewaySession
 from canopen_gateway.web.api import WebApi, web_app
 from canopen_gateway.web.guard import AsgiApp, WebGuard
 from canopen_gateway.web.live import MAX_MESSAGE, LiveHub
 from canopen_gateway.web.machine_subject import MachineSubject
 from canopen_gateway.web.subject import WebSubject
+from canopen_transports.tcp.address import is_loopback
 
 if TYPE_CHECKING:
     from canopen_gateway.fleet import Fleet
@@ -108,7 +109,7 @@ class WebDoor:
         try:
             yield
         except* Exception as failed:  # noqa: BLE001 - whatever it is, it ends this door alone
-            self.failure = _first(failed)
+            self.failure = first_of(failed)
             LOGGER.warning("the web door is closed: %s", self.failure)
 
     def _config(self) -> Config:
@@ -188,10 +189,3 @@ def _names_of(host: str, names: Iterable[str]) -> list[str]:
         elif not found:
             found.append(socket.gethostname())
     return list(dict.fromkeys([*found, *LOOPBACK]))
-
-
-def _first(error: BaseException) -> Exception:
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, Exception)
-    return error

@@ -46,8 +46,8 @@ import trio
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from canopen_gateway.commissioning import ClientConversation, check_commissioning, commission
-from canopen_gateway.errors import GatewayError
-from canopen_gateway.places import find_node
+from canopen_gateway.errors import GatewayError, first_of
+from canopen_gateway.places import find_node, number_said
 from canopen_gateway.plain_data import EXPECTED, Plain, error_data
 from canopen_gateway.traffic import FrameWish
 from canopen_gateway.traffic.trace import MOST_NAME
@@ -67,8 +67,6 @@ WAITING: Final = 32
 """Messages that wait for one client."""
 MOST_SAID: Final = 400
 """Messages of a dialogue that wait besides: some hundred are said from one question to the next, where a drive lists as many."""
-MOST_NUMBER: Final = 1e300
-"""The greatest number that a message holds."""
 MAX_MESSAGE: Final = 4096
 """Bytes of a message of a client."""
 MOVES: Final = frozenset({"take", "leave", "renew", "stop", "enable", "disable", "jog", "move", "commission", "answer"})
@@ -326,7 +324,7 @@ class LiveClient:
                             self.put(json_text({"k": "values", "values": rows}))
                         await trio.sleep(FLUSH)
             except* (GatewayError, *EXPECTED) as failed:
-                self.put(json_text({"k": "error", "about": "watch", **error_data(_first(failed))}))
+                self.put(json_text({"k": "error", "about": "watch", **error_data(first_of(failed))}))
             finally:
                 self._watch_turn.release()
 
@@ -347,14 +345,7 @@ def _sequence(message: dict[str, Any]) -> int:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST_NUMBER:  # NaN is not
-        return float(value)
-    raise ValueError(f"{str(value)[:20] if isinstance(value, float | str) else 'this'!r} is no number")
-
-
-def _first(error: BaseException) -> Exception:
-    """Return the error that nurseries have put into groups."""
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, Exception)
-    return error
+    number = number_said(value)
+    if number is None:
+        raise ValueError(f"{str(value)[:20] if isinstance(value, float | str) else 'this'!r} is no number")
+    return number

@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import trio
 
-from canopen_gateway.places import find_net, find_object
+from canopen_gateway.errors import first_line
+from canopen_gateway.places import bytes_of, find_net, find_object
 from canopen_gateway.plain_data import (
     Plain,
     chain_data,
     event_data,
-    first_line,
     lease_data,
     net_data,
     node_data,
@@ -26,19 +26,14 @@ from canopen_gateway.plain_data import (
 )
 from canopen_gateway.service import GatewayService, GatewaySession
 from canopen_gateway.values import WatchedObject
-from canopen_gateway.values_given import bytes_of
 from canopen_gateway.web.subject import TakeRows, TellEvent, WebClient, WebSubject
 from canopen_master import MasterError
 from canopen_master.errors import NodeIsNoDriveError
-from canopen_master.plain_text import clean
-from canopen_proto import NmtCommand, indices
+from canopen_proto import NmtCommand
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import SECOND
 from canopen_proto.procedures import ProcedureError
 
-DEVICE_NAME: Final = indices.MANUFACTURER_DEVICE_NAME, 0
-HEARTBEAT_TIME: Final = 2_500_000_000
-"""ns without a heartbeat until the page says that it is lost: the usual period is 1 s, and two of them may be late."""
 LOOK_EACH: Final = 0.5
 """Seconds between two looks for nodes whose heartbeat has begun."""
 LOGGER: Final = logging.getLogger("canopen_gateway")
@@ -102,14 +97,8 @@ class MachineSubject(WebSubject):
                     tell(heard.net, event_data(self.service, heard, clock()))
 
     async def _watch_heartbeats(self, ear: GatewaySession) -> None:
-        watched: set[tuple[str, int]] = set()
         while True:
-            for net in self.nets:
-                network = self.service.master.bus(net).network
-                for node_id in network.heard_nodes():
-                    if (net, node_id) not in watched and network.heard(node_id).state_time is not None:
-                        watched.add((net, node_id))
-                        ear.watch_heartbeat(net, node_id, HEARTBEAT_TIME)
+            ear.watch_heard()
             await trio.sleep(LOOK_EACH)
 
     async def search(self, net: str) -> None:
@@ -128,7 +117,7 @@ class MachineSubject(WebSubject):
             problem = first_line(error)
         if not problem:
             try:
-                name = clean((await self._session.read(net, node_id, *DEVICE_NAME)).decode("latin-1"))
+                name = await self._session.read_name(net, node_id)
             except MasterError as error:
                 LOGGER.debug("%s has no name: %s", node.where, first_line(error))
         return {"name": name, "drive": drive, "problem": problem}

@@ -36,19 +36,14 @@ class RosCore:
 
     It is lost if it does not answer for LOST, or if another one has taken its place: that one does not know this node.
 
-    uri: of the ROS master; None: as `master_uri`.
+    uri: of the ROS master; None: as `master_uri`. lost: why it counts as lost; empty while it is there.
     """
 
     def __init__(self, uri: str | None = None) -> None:
         self.uri = master_uri() if uri is None else uri
         self._thread = threading.Thread(target=self._watch, name="roscore", daemon=True)
         self._over = threading.Event()
-        self._lost = ""
-
-    @property
-    def lost(self) -> str:
-        """Why the master counts as lost; empty while it is there."""
-        return self._lost
+        self.lost = ""
 
     def process_id(self) -> int | None:
         """Ask the master for its process-ID; None if it does not answer."""
@@ -69,11 +64,11 @@ class RosCore:
     def _watch(self) -> None:
         first = self.process_id()
         heard = time.monotonic()
-        while not self._lost and not self._over.wait(INTERVAL):
+        while not self.lost and not self._over.wait(INTERVAL):
             answer = self.process_id()
             if answer is not None and first is not None and answer != first:
-                self._lost = f"another ROS master has come to {self.uri}"
+                self.lost = f"another ROS master has come to {self.uri}"
             elif answer is not None:
                 first, heard = answer, time.monotonic()
             elif time.monotonic() - heard > LOST:
-                self._lost = f"the ROS master at {self.uri} has not answered for {LOST:g} s"
+                self.lost = f"the ROS master at {self.uri} has not answered for {LOST:g} s"

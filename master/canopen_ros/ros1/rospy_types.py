@@ -58,8 +58,6 @@ class Rospy(Protocol):
 
     def Service(self, name: str, service_class: type, handler: Callable[[Message], Message]) -> object: ...
 
-    def loginfo(self, text: str, *args: object) -> None: ...
-
     def logwarn(self, text: str, *args: object) -> None: ...
 
     def logerr(self, text: str, *args: object) -> None: ...
@@ -100,12 +98,6 @@ class Actionlib(Protocol):
         cancel_cb: Callable[[GoalHandle], None],
         auto_start: bool,
     ) -> ActionServer: ...
-
-
-class RosMaster(Protocol):
-    """rosgraph.Master: the XML-RPC interface of the ROS master."""
-
-    def getPid(self) -> int: ...
 
 
 def rospy() -> Rospy:
