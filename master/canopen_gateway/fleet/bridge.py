@@ -25,7 +25,7 @@ import logging
 import secrets
 import time
 from collections import defaultdict, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -146,10 +146,11 @@ class FleetDoor:
         if not self._zenoh.is_closed():
             await close_zenoh(self._zenoh)
 
-    async def serve(self, service: GatewayService) -> None:
-        """Serve the fleet until cancelled. Returns early only if the door itself fails; see `failure`. Raises GatewayFullError,
-        ValueError if two buses would have one name; DoorError if another bridge of the fleet serves a bus of this name, and still
-        does so after TWIN_WAIT seconds. Until that is known, halts are served, and nothing else."""
+    async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
+        """Serve the fleet until cancelled. begun: called once it serves all that it is asked. Returns early only if the door
+        itself fails; see `failure`. Raises GatewayFullError, ValueError if two buses would have one name; DoorError if another
+        bridge of the fleet serves a bus of this name, and still does so after TWIN_WAIT seconds. Until that is known, halts are
+        served, and nothing else."""
         import zenoh
 
         self.buses = self.names_of(service.nets)
@@ -167,6 +168,8 @@ class FleetDoor:
                             self._taking = Taking.NOTHING  # the halts that are under way come to their end
                         else:
                             self._begin(nursery)
+                            if begun is not None:
+                                begun()
                 except* zenoh.ZError as failed:
                     self.failure = failed.exceptions[0]
                     LOGGER.warning("the door to the fleet is closed: %s", self.failure)
