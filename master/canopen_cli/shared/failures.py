@@ -186,10 +186,15 @@ def _of_bus(code: str) -> ExitCode:
 
 def _what_was_meant(problem: CommandError, locator: str) -> CommandError:
     """Add what was perhaps meant by the name of a bus that is none: the demonstration, or a recording. Returns the problem."""
-    if problem.code != BAD_LOCATOR or ":" in locator:
+    if problem.code != BAD_LOCATOR:
         return problem
-    if nearest(locator, (DEMO,)):
+    name, *behind = re.split("[:@?]", locator, maxsplit=1)
+    if nearest(name, (DEMO,)):
         problem.tries = (f"-b {DEMO}", *problem.tries)
+        if behind:
+            problem.seen = f"{DEMO} is six simulated drives in this process: nothing stands behind its name"
+    if ":" in locator:
+        return problem
     if not (suffix := Path(locator).suffix.lower()):
         return problem
     from canopen_transports.log_files import LOSSES  # formats of logs need long to import
