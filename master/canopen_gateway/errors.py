@@ -49,7 +49,7 @@ class NotAllowedError(GatewayError, PermissionError):
         super().__init__(
             NOT_ALLOWED,
             f"{what} is not allowed here",
-            seen=f"this gateway was started without --allow {permission}",
+            seen=f"started without --allow {permission}",
             tries=(f"start it with --allow {permission}, if that is meant",),
         )
         self.permission = permission
@@ -59,7 +59,9 @@ class GatewayFullError(GatewayError):
     """The gateway takes no more of this. For the fields see Explained."""
 
     def __init__(self, what: str, most: int) -> None:
-        super().__init__(GATEWAY_FULL, f"this gateway takes no more {what}", seen=f"it has {most}", tries=("end some, or wait",))
+        super().__init__(
+            GATEWAY_FULL, f"there is no room for more {what}", seen=f"{most} are there", tries=("end some, or wait",)
+        )
 
 
 class PdoTakenError(GatewayError):
