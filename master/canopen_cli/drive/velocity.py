@@ -28,7 +28,7 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 
 
 @click.command(cls=NumberCommand)
-@click.argument("value", type=float)
+@click.argument("value", type=FiniteRange())
 @click.option(
     "--in",
     "unit",

@@ -34,6 +34,8 @@ SAME: Final = {
     "dump": ("show",),
     "reset": ("fault-reset",),
     "simulate": ("sim",),
+    "new": ("init", "from-chains"),
+    "create": ("new", "init", "from-chains"),
 }
 """What is called otherwise elsewhere, and the commands here that do it, in whichever group they are."""
 
