@@ -35,8 +35,10 @@ EACH: Final = 1000
 """Cases between two lines of progress."""
 
 NODE = 5
-SIZES = {0x2000: 1, 0x2001: 4, 0x2002: 8, 0x2003: 8, 0x2004: 40, 0x2005: 300}
-"""The objects and their bytes: expedited, two segments, and more than a sub-block of the smallest size."""
+WRITE_ONLY: Final = 0x2006
+SIZES = {0x2000: 1, 0x2001: 4, 0x2002: 8, 0x2003: 8, 0x2004: 40, 0x2005: 300, WRITE_ONLY: 2}
+"""The objects and their bytes: expedited, two segments, and more than a sub-block of the smallest size; and one that
+strangers read, though it cannot be read."""
 
 
 class History:
@@ -46,6 +48,8 @@ class History:
         self.held: dict[int, list[tuple[Time, bytes]]] = {index: [(0, bytes(size))] for index, size in SIZES.items()}
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode:
+        if index == WRITE_ONLY:
+            return AbortCode.WRITE_ONLY
         return self.held[index][-1][1] if index in self.held else AbortCode.NO_SUCH_OBJECT
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
@@ -207,7 +211,7 @@ def case_of(source: Random, kind: str) -> Case:
     is_close = source.randint(0, 1) == 1
     objects = list(SIZES)
     if is_close:
-        objects = objects[: source.randint(1, 2)]
+        objects = [WRITE_ONLY] if source.randint(0, 3) == 0 else objects[: source.randint(1, 2)]
     spans = CLOSE_SPANS if is_close else SPANS
     slowest = source.choice(DELAYS)
     count = source.randint(1, 3)
@@ -221,12 +225,13 @@ def _time(source: Random, spans: Sequence[Time]) -> Time:
 
 
 def _asked(source: Random, clients: int, objects: list[int], spans: Sequence[Time], is_close: bool) -> Asked:
-    is_write = source.random() < (0.75 if is_close else 0.5)
+    index = source.choice(objects)
+    is_write = source.random() < (0.75 if is_close else 0.5) or index == WRITE_ONLY
     stream = not is_write and source.randint(0, 5) == 0
     return Asked(
         client=source.randint(0, clients - 1),
         at=_time(source, spans),
-        index=source.choice(objects),
+        index=index,
         is_write=is_write,
         block=source.choice(BLOCKS),
         urgent=source.randint(0, 1 if is_close else 3) == 0,

@@ -16,6 +16,7 @@ A value is bytes here, as SDO carries them: what a text means as bytes, and back
 from __future__ import annotations
 
 import binascii
+import math
 import re
 import struct
 from dataclasses import dataclass
@@ -120,7 +121,7 @@ def parse_value(value_type: ValueType, text: str, dialect: Dialect = CANOPENNODE
             number = integer_of(text)
             return None if number is None else _encoded(number, value_type)
         case TextForm.REAL:
-            return _encoded(float(text), value_type) if _REAL.fullmatch(text) else None
+            return _real_of(text, value_type) if _REAL.fullmatch(text) else None
         case TextForm.TIME:
             return _time_of(text)
         case TextForm.QUOTED:
@@ -172,6 +173,11 @@ def typed_value(value_type: ValueType, data: bytes, dialect: Dialect = CANOPENNO
             f"{len(data)} bytes {data[:16].hex(' ')} cannot be typed as {value_type.word}; hex can carry them"
         )
     return text
+
+
+def _real_of(text: str, value_type: ValueType) -> bytes | None:
+    number = float(text)  # 1e999 is inf there, which nobody has typed
+    return None if math.isinf(number) and "inf" not in text.lower() else _encoded(number, value_type)
 
 
 def _encoded(value: Value, value_type: ValueType) -> bytes | None:

@@ -81,7 +81,7 @@ from canopen_proto.sdo.codec import (
     SPECIFIER,
     complete,
 )
-from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, is_own_refusal, spread
+from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, is_own_refusal, is_value_for_other, spread
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request_queue import RequestQueue
 from canopen_proto.sdo.segmented_client import NOBODY, Download, Question, Upload, own
@@ -420,9 +420,12 @@ class SdoClient(ChannelEnd):
         is_near = transfer.is_contested or now < other.heard_at + self.contest_limit
         if not is_named and not transfer.is_answered and self._queue.is_overdue(specifier, data[1:4]):
             self.ignore(frame, "late response to a request that timed out")
+        elif is_named and is_value_for_other(transfer, command):
+            self.ignore(frame, "answer to another client")
         elif is_near and self._is_in_doubt(transfer, specifier, is_named, data):
             if is_named and isinstance(transfer, Contested):
-                is_alike = specifier == ABORT or (specifier == INITIATE_UPLOAD_RESPONSE and not transfer.is_download)
+                is_refusal = specifier == ABORT and not transfer.is_shared
+                is_alike = is_refusal or (specifier == INITIATE_UPLOAD_RESPONSE and not transfer.is_download)
                 transfer.is_answered = transfer.believes and is_alike
             self._end_contested(transfer, now)
         elif specifier == ABORT:
@@ -554,8 +557,10 @@ class SdoClient(ChannelEnd):
         elif not self.other.leaves_sure(transfer):
             self._end_contested(transfer, now)
             self._go_on(transfer, now)
-        elif not transfer.is_contested:
-            self._transfer = Contested(transfer, True)
+        elif isinstance(transfer, Contested):
+            transfer.is_shared |= self.other.has_asked_for(transfer.name)
+        else:
+            self._transfer = Contested(transfer, True, self.other.has_asked_for(transfer.name))
 
     def _end_contested(self, transfer: Transfer, now: Time) -> None:
         """End our transfer: what the server did, or does, cannot be known. A read is made again if there is time."""
@@ -695,7 +700,8 @@ class SdoClient(ChannelEnd):
         """A stranger was heard before this transfer began: believe no answer that may be another's."""
         awaits_other = transfer.is_download and self._awaits_other(transfer.name, now)
         if awaits_other or self.other.may_answer(transfer):  # it is urgent, or it would have waited
-            self._transfer = Contested(transfer, not awaits_other and self.other.leaves_sure(transfer))
+            is_shared = self.other.has_asked_for(transfer.name)
+            self._transfer = Contested(transfer, not awaits_other and self.other.leaves_sure(transfer), is_shared)
 
     def _awaits_other(self, name: bytes, now: Time) -> bool:
         """Return whether an answer to another write of the object may still come, of ours or of a stranger."""

@@ -14,7 +14,8 @@ pause) if the server has to answer, PAUSE if it is the stranger's turn.
 
 `Contested` stands for a request whose initiate answer is due while a stranger asks for another object. An expedited answer names
 its object, so it is still taken; so is the server's refusal, if it names the object and is not about the protocol. Everything
-else is in doubt, and ends the attempt.
+else is in doubt, and ends the attempt. A stranger that only reads the object of our write leaves the confirmation sure as well:
+the server says 0x60 to writes alone. Then a refusal is in doubt, since it may be that of the read.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class OtherClient:
         "_is_ambiguous",
         "_is_twofold",
         "_names",
+        "_written",
         "count",
         "heard",
         "heard_at",
@@ -99,6 +101,7 @@ class OtherClient:
         self.in_blocks = False
         self.until: Time = -NEVER
         self._names: set[bytes] = set()  # of the objects whose answers may still come
+        self._written: set[bytes] = set()  # those of them whose answer may be that to a write
         self._is_twofold = False  # the last request names an object that another open one names
         self._is_ambiguous = False  # several exchanges overlap: no answer is the last one for certain
 
@@ -106,6 +109,7 @@ class OtherClient:
         """The answer to a request of ours that has ended is still to come: another request for that object is not alone."""
         self._is_ambiguous |= bool(self._names)
         self._names.add(name)
+        self._written.add(name)
 
     def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
         """Take a stranger's request. ours: our own transfer that is under way. data: eight bytes. timeout: ns, after which it
@@ -116,11 +120,11 @@ class OtherClient:
         if self.in_blocks and self.last[0] & SPECIFIER == BLOCK_DOWNLOAD and command != ABORT and command & KIND != END:
             self.until = now + silence_limit(timeout)  # a segment, it seems
             if is_initiate(command):  # or a request of yet another client, whose answer comes behind that to the block transfer
-                self._note(data[1:4], ours)
+                self._note(data, ours)
                 self._is_twofold = True
             return
         if is_initiate(command):
-            self._note(data[1:4], ours)
+            self._note(data, ours)
         self.last = data
         self.in_blocks = command & SPECIFIER in (BLOCK_UPLOAD, BLOCK_DOWNLOAD)
         if command != ABORT and command != END_RESPONSE:
@@ -130,12 +134,15 @@ class OtherClient:
         else:
             self.until = now + SPREAD  # its next request may be right behind
 
-    def _note(self, name: bytes, ours: Transfer | None) -> None:
-        """Note the name of an object whose answer may come."""
+    def _note(self, data: bytes, ours: Transfer | None) -> None:
+        """Note the name of an object whose answer may come. data: an initiate request."""
+        name = data[1:4]
         self._is_twofold = name in self._names or (ours is not None and name == ours.name)
         self._is_ambiguous |= bool(self._names) or self._is_twofold
         if len(self._names) <= MAX_NAMES:
             self._names.add(name)
+            if REQUESTS[data[0]] is not SdoFrame.UPLOAD:
+                self._written.add(name)
 
     def on_answer(self, data: bytes, timeout: Time, now: Time) -> None:
         """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way. data: eight bytes.
@@ -174,13 +181,19 @@ class OtherClient:
     def leaves_sure(self, transfer: Transfer) -> bool:
         """Return whether an expedited answer to our request cannot be one to a stranger's.
 
-        Both are initiate requests without blocks, they name different objects, and nothing else was sent for ours yet.
+        Both are initiate requests without blocks, they name different objects or are a write of ours and a read, and nothing else
+        was sent for ours yet.
         """
         if transfer.state is not INITIATED or REQUESTS[self.last[0]] not in _ONE_FRAME:
             return False
         asked = REQUESTS[transfer.first[0]]
         is_one_frame = asked is SdoFrame.UPLOAD or (asked is SdoFrame.DOWNLOAD and bool(transfer.first[0] & EXPEDITED_BIT))
-        return is_one_frame and transfer.name not in self._names and len(self._names) <= MAX_NAMES
+        names = self._names if asked is SdoFrame.UPLOAD else self._written
+        return is_one_frame and transfer.name not in names and len(self._names) <= MAX_NAMES
+
+    def has_asked_for(self, name: bytes) -> bool:
+        """Return whether an answer about this object may be one to a stranger."""
+        return name in self._names
 
     def may_answer(self, transfer: Transfer) -> bool:
         """Return whether answers to a stranger may meet this request of ours."""
@@ -201,20 +214,22 @@ def spread(now: Time) -> Time:
 class Contested(Transfer):
     """A request whose initiate answer is due, while a stranger asks too; see this module's text.
 
-    request: it. believes: an expedited answer is still taken; else every answer to it is in doubt.
+    request: it. believes: an expedited answer is still taken; else every answer to it is in doubt. is_shared: a stranger asks for
+    the same object, by a read, so that a refusal may be the read's.
     """
 
-    __slots__ = ("believes", "request")
+    __slots__ = ("believes", "is_shared", "request")
 
     is_contested: ClassVar[bool] = True
 
-    def __init__(self, request: Transfer, believes: bool) -> None:
+    def __init__(self, request: Transfer, believes: bool, is_shared: bool) -> None:
         super().__init__(request.end, request.index, request.subindex, request.first)
         self.request_id = request.request_id
         self.is_urgent = request.is_urgent
         self.deadline, self.own_timeout = request.deadline, request.own_timeout
         self.request = request
         self.believes = believes
+        self.is_shared = is_shared
 
     @property
     def is_all_sent(self) -> bool:
@@ -246,5 +261,11 @@ class Contested(Transfer):
 def is_own_refusal(transfer: Transfer, data: bytes) -> bool:
     """Return whether an abort of the server is its refusal of our request, and not a stranger's doing. data: of the abort, eight
     bytes."""
-    is_believed = isinstance(transfer, Contested) and transfer.believes
+    is_believed = isinstance(transfer, Contested) and transfer.believes and not transfer.is_shared
     return is_believed and data[1:4] == transfer.name and data[7] != SERVICE_ERROR
+
+
+def is_value_for_other(transfer: Transfer, command: int) -> bool:
+    """Return whether an answer about our object is the whole value that a stranger has asked for, while we write it."""
+    is_value = command & SPECIFIER == INITIATE_UPLOAD_RESPONSE and bool(command & EXPEDITED_BIT)
+    return is_value and isinstance(transfer, Contested) and transfer.believes and transfer.is_shared

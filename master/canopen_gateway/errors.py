@@ -56,7 +56,7 @@ class NotAllowedError(GatewayError, PermissionError):
     def __init__(self, permission: str, what: str) -> None:
         super().__init__(
             f"{what} is not allowed here",
-            seen=f"this gateway was started without --allow {permission}",
+            seen=f"started without --allow {permission}",
             tries=(f"start it with --allow {permission}, if that is meant",),
         )
         self.permission = permission
@@ -68,7 +68,7 @@ class GatewayFullError(GatewayError):
     CODE = GATEWAY_FULL
 
     def __init__(self, what: str, most: int) -> None:
-        super().__init__(f"this gateway takes no more {what}", seen=f"it has {most}", tries=("end some, or wait",))
+        super().__init__(f"there is no room for more {what}", seen=f"{most} are there", tries=("end some, or wait",))
 
 
 class PdoTakenError(GatewayError):

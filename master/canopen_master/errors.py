@@ -223,7 +223,8 @@ class SetPointRefusedError(MasterError, ValueError):
 def wrong_values(values: object, joints: int) -> str:
     """Return why values are not one number for each joint, as large as a float at most; "" if they are. Any sequence will do, and
     arrays of numpy."""
-    if isinstance(values, str | bytes) or not isinstance(values, Sized) or not isinstance(values, Iterable):
+    is_unordered = isinstance(values, dict | set | frozenset)  # a dict would give its keys: {3: 10.0} moves the first joint to 3
+    if isinstance(values, str | bytes) or is_unordered or not isinstance(values, Sized) or not isinstance(values, Iterable):
         return f"{values!r} is no list of numbers"
     if len(values) != joints:
         return f"{len(values)} for {counted(joints, 'joint')}"

@@ -92,6 +92,16 @@ def test_objects_are_those_of_the_nodes_file_and_constants_those_of_the_object(c
     assert "sm_shutdown" in complete("canopen write 3 controlword ")
     assert complete("canopen write 3 no_such_object ") == []
     assert complete("canopen read 3:statu") == ["3:statusword"]
+    subindices = ["1018:00", "1018:01", "1018:02", "1018:03", "1018:04"]
+    assert complete("canopen read -e sample_io.eds 3 1018:") == subindices
+    assert complete("canopen read -e sample_io.eds 3 6041 0x1018:") == [f"0x{each}" for each in subindices]
+    assert complete("canopen read -e sample_io.eds 3:1018:") == [f"3:{each}" for each in subindices]
+    assert complete("canopen eds show sample_io.eds 1018:") == subindices
+    assert complete("canopen monitor -e sample_io.eds --object 1018:") == subindices
+    assert complete("canopen write 3 604")[:2] == ["6040:00", "6041:00"]
+    assert "sm_shutdown" in complete("canopen write 3 6040:00 ")
+    assert complete("canopen drive mode 3 cs") == ["csp", "csv", "cst"]
+    assert complete("canopen drive mode -b demo 3 p") == ["pp", "pv"]
     assert complete(f"canopen watch -m {tmp_path}/cell.toml lift:PROD") == ["lift:producer_heartbeat_time"]
     assert "sm_shutdown" in complete("canopen write 3:controlword ")
     assert complete("canopen log decode a.log --object statu") == ["statusword"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 
@@ -118,9 +119,21 @@ def test_a_joint_that_does_not_tell_a_turn_of_its_motor_never_runs_at_a_velocity
     outcome = run("drive", "3", "velocity", "500", "--in", unit, "--seconds", "1", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert "does not tell how many counts a turn of its motor has (0x608F)" in outcome.err
-    assert "counts_per_motor_turn" in outcome.err
-    assert "--in rpm" not in outcome.err
+    given = f"canopen drive velocity 3 500 --in {unit} --counts-per-motor-turn COUNTS -b demo"
+    assert f"{given}    by its manual: 360000, a turn of its shaft, divided by its gear" in outcome.err
+    assert "counts_per_motor_turn of its joint in a machine file" in outcome.err
     assert simulations[-1].drives[3].drive.mode != Mode.VELOCITY
+
+
+def test_a_joint_that_does_not_tell_a_turn_of_its_motor_runs_by_the_turn_that_is_given(
+    run: Run, simulations: list[SimulatedDevices]
+) -> None:
+    """A simulated joint without 0x608F has 60 counts in a turn of its motor: 300 rpm are 300 counts per second."""
+    before = json.loads(run("drive", "state", "3", "--json", *DEMO).out)["position"]
+    outcome = run("drive", "3", "velocity", "300", "--in", "rpm", "--counts-per-motor-turn", "60", "--for", "10s", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "told              300 rpm" in outcome.out.splitlines()
+    assert position(simulations[-1].drives[3]) - before == pytest.approx(3_000, abs=100)
 
 
 @pytest.mark.parametrize("mode", ["pv", "vl"])

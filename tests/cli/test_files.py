@@ -214,8 +214,12 @@ def test_what_was_typed_makes_no_sense(run: Run, devices: Devices, tmp_path: Pat
         ("write", "5", "1017"),
         ("write", "5", "1017", "5", "--file", str(file)),
         ("write", "5", "1000", "--file", str(file)),
+        ("read", "5", "1000", "--type", "u16", "-o", str(tmp_path / "new.bin")),
+        ("write", "5", "1F50:01", "--type", "u16", "--file", str(file)),
     ):
         assert run(*arguments, *DEMO).status == ExitCode.USAGE
+    assert "no --type" in run("read", "5", "1000", "--type", "u16", "-o", str(tmp_path / "new.bin"), *DEMO).err
+    assert not (tmp_path / "new.bin").exists()
     (tmp_path / "indices.csv").write_text("secret 0x2301 0x00 2 wo\n")
     (tmp_path / "constants.csv").write_text("")
     (tmp_path / "PDOs.csv").write_text("")

@@ -147,7 +147,6 @@ TWO_MEANINGS = {
     "--revision": "a number; `lss identify` asks for a range",
     "--serial": "as --revision",
     "--since": "a moment of a recording, or of the past",
-    "--site": "a name of a topic, or a checked one of a fleet",
     "--speed": "a share of a speed; `log replay` knows max, too",
     "--type": "a data type; the transmission type of a PDO",
     "--until": "as --since",

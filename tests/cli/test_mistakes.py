@@ -22,6 +22,27 @@ DEMO = ("-b", "demo")
         ("scan can0", "-b can0    (if it is a bus)"),
         ("move -b demo --to joint1=10deg", "joint1=NUMBER, in the joint's unit of the machine file"),
         ("scan -b dmeo", "try:   -b demo"),
+        ("scan -b demo:3", "nothing stands behind its name"),
+        ("scan -b demo@500k", "try:   -b demo"),
+        ("drive diagnose 3 -b demo", "try:   canopen drive state"),
+        ("drive 3 status -b demo", "try:   canopen drive state"),
+        ("eds check a.eds", "try:   canopen eds lint"),
+        ("version", "try:   canopen --version"),
+        ("help", "try:   canopen --help"),
+        ("help drive move", "try:   canopen drive move --help"),
+        ("eds help", "try:   canopen eds --help"),
+        ("set 3 6081 5 -b demo", "try:   canopen write"),
+        ("read 3 heartbeat -b demo", "did you mean consumer_heartbeat_time:consumer_1 or producer_heartbeat_time?"),
+        ("drive 3 -b demo", "try:   canopen drive state 3"),
+        ("drive -b demo state 3", "-b behind the command: canopen drive COMMAND ... -b"),
+        ("drive move 3 10deg -b demo", "try:   10 --in deg"),
+        ("drive velocity 3 nan -b demo", "is not a finite number"),
+        ("nmt start all -b demo", "try:   --all    (all nodes of the bus)"),
+        ("write 3 1017 1e99999 -b demo", "1e99999 is beyond all numbers"),
+        ("write 3 5FFF 1e99999 --type f32 -b demo", "1e99999 is beyond all numbers"),
+        ("sim 5 -b virtual:x", "canopen sim --id 5"),
+        ("machine new cell.toml", "try:   canopen machine from-chains"),
+        ("log replay nope.log -b demo", "-b tcp    the bus of `canopen bus serve`"),
         ("emcy watch trace.log", "--log trace.log    (if it is a recording)"),
         ("monitor -b trace.log", "--log trace.log    (a recording"),
         ("scan -b trace.log", "canopen log decode trace.log"),
@@ -42,6 +63,21 @@ def test_a_mistake_is_answered_by_what_was_meant(run: Run, line: str, told: str)
     outcome = run(*line.split())
     assert outcome.status in (ExitCode.USAGE, ExitCode.CANNOT_OPEN, ExitCode.DRIVE_FAULT), outcome.err
     assert told in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("line", "never"),
+    [
+        ("nmt start 3 4 -b demo", "if it is a bus"),
+        ("drive home 3 --method 99 -b demo", "--eds"),
+        ("monitor --filter x -b demo", "--for"),
+        ("log replay nope.log -b demo", "no interface"),
+    ],
+)
+def test_what_nobody_can_have_meant_is_not_offered(run: Run, line: str, never: str) -> None:
+    outcome = run(*line.split())
+    assert outcome.status == ExitCode.USAGE
+    assert never not in outcome.err
 
 
 @pytest.mark.parametrize("line", ["emcy watch --for 0.2s", "log record new.log --for 0.2s", "monitor --for 0.2s"])

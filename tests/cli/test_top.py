@@ -11,7 +11,7 @@ import trio
 from rich.console import Console, RenderableType
 
 from canopen_cli.live import source as live_source
-from canopen_cli.live.top_view import SILENT, BusShown, TopView, is_silent, picture
+from canopen_cli.live.top_view import SILENT, BusShown, TopView, as_json, is_silent, picture, plain
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.bus_view import BusView
@@ -97,6 +97,17 @@ def test_a_node_that_is_silent_does_not_look_alive() -> None:
         colours.print(picture(shown(view, last, now), 80, 24))
     assert "\x1b[2mSILENT" in captured.get()  # dim
     assert "\x1b[32m" not in captured.get()  # not green
+
+
+def test_whom_a_scan_has_asked_and_nobody_has_heard_is_one_line_and_no_node() -> None:
+    asked = "".join(f"(3.{node:03}) can0 {0x600 + node:X}#4000100000000000\n" for node in range(1, 128) if node not in (8, 9, 11))
+    view, last = recorded(LOG + asked)
+    found = drawn(shown(view, last))
+    assert found[4].startswith("5 (0x05)")
+    assert not any("SILENT" in each or "the terminal is too low" in each for each in found)
+    assert found[-2] == "spoken to, and never heard: 1-4, 6-7, 10, 12-127"
+    assert found[-2] in lines(plain(shown(view, last), 80), 80)
+    assert len(as_json(shown(view, last))[0]["nodes"]) == 124  # for programs that want them all
 
 
 def test_a_state_that_was_only_commanded_is_no_fact() -> None:

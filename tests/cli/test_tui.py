@@ -146,9 +146,11 @@ def test_its_views(monkeypatch: pytest.MonkeyPatch) -> None:
         await pilot.press("slash", *"statusword")
         assert [row.split()[:2] for row in rows(view)] == [["6041:00", "statusword"]]
         await pilot.press("enter", "enter")
-        await until(pilot, lambda: shows(view, "576 (switch_on_disabled, remote)"))
+        await until(pilot, lambda: shows(view, "6041:00 is 576 (switch_on_disabled, remote)"))
+        assert not shows(view, "reading 6041:00")
         await pilot.press("e")
         await until(pilot, lambda: shows(view, "writing 0x6041:00 is not allowed here", "--allow write"))
+        assert not shows(view, "gateway")  # which this user has never heard of
         await pilot.press("w", "4")
         await until(pilot, lambda: any("576" in row for row in rows(view)))
         await pilot.press("5")
@@ -231,6 +233,7 @@ def test_more_than_may_be_watched_is_refused_and_the_others_go_on() -> None:
         for place in places[most:]:
             held.watch.ask_watch(place, "x")
         await until(pilot, lambda: shows(view, "CO151"))
+        assert not shows(view, "gateway")
         await until(pilot, lambda: len(rows(view)) == most)
         held.watch.ask_watch(places[0], "x")
         held.watch.ask_watch(places[0], "x")

@@ -102,25 +102,19 @@ def test_a_request_waits_until_the_strangers_exchange_is_over() -> None:
     assert bench.frames() == [READ]
 
 
-STRANGERS = {
-    "reads": ("40 17 10 00 00 00 00 00", "4B 17 10 00 E8 03 00 00"),
-    "writes": ("2B 17 10 00 08 00 00 00", "60 17 10 00 00 00 00 00"),
-}
+FOREIGN_WRITE, CONFIRMED = "2B 17 10 00 08 00 00 00", "60 17 10 00 00 00 00 00"
 """A stranger's exchange about the object that we write."""
 
 
-@pytest.mark.parametrize(("asked", "answer"), STRANGERS.values(), ids=STRANGERS)
 @pytest.mark.parametrize("given_up", [1, 2])
-def test_a_write_that_was_given_up_in_our_queue_is_not_confirmed_by_what_the_server_says_to_a_stranger(
-    asked: str, answer: str, given_up: int
-) -> None:
+def test_a_write_that_was_given_up_in_our_queue_is_not_confirmed_by_what_the_server_says_to_a_stranger(given_up: int) -> None:
     """No answer tells whose it is, however often the server says that the object was written: only the answer to a question
     behind ours in our queue shows that it has them all."""
     bench = Shared()
     urgent = [bench.client.download(0x1017, 0, bytes((number, 0)), bench.now, urgent=True) for number in range(given_up)]
     last = bench.client.download(0x1017, 0, b"\7\0", bench.now)
-    bench.other(asked)  # before ours on the bus
-    bench.hear(answer)
+    bench.other(FOREIGN_WRITE)  # before ours on the bus
+    bench.hear(CONFIRMED)
     bench.other(FOREIGN_READ)
     bench.hear("4F 01 10 00 05 00 00 00")
     sent = bench.frames()
@@ -144,8 +138,8 @@ def test_a_write_that_was_given_up_in_our_queue_is_not_confirmed_by_what_the_ser
 def test_an_urgent_write_goes_out_at_once_and_is_not_confirmed_while_one_that_was_given_up_may_wait_in_our_queue() -> None:
     bench = Shared()
     bench.client.download(0x1017, 0, b"\0\0", bench.now, urgent=True)
-    bench.other(STRANGERS["writes"][0])  # before ours on the bus
-    bench.hear(STRANGERS["writes"][1])
+    bench.other(FOREIGN_WRITE)  # before ours on the bus
+    bench.hear(CONFIRMED)
     bench.other(FOREIGN_READ)  # of another object: an answer that names ours would be ours, if no other were due
     bench.frames(), bench.outcomes()
     second = bench.client.download(0x1017, 0, b"\1\0", bench.now, urgent=True)
@@ -315,7 +309,79 @@ def test_an_expedited_answer_names_its_object_so_another_read_does_no_harm() -> 
     assert bench.outcomes() == [SdoDownloaded(12, request, 0x6040, 0)]
 
 
-@pytest.mark.parametrize("foreign", ["2B 40 60 00 06 00 00 00", "40 40 60 00 00 00 00 00", "80 40 60 00 00 00 04 05"])
+READS_IT, VALUE, OURS = "40 40 60 00 00 00 00 00", "4B 40 60 00 0F 00 00 00", "60 40 60 00 00 00 00 00"
+"""A stranger reads the object that we write; its answer, and ours."""
+
+
+@pytest.mark.parametrize("answers", [(VALUE, OURS), (OURS, VALUE), (VALUE, VALUE, OURS)])
+@pytest.mark.parametrize("begins", ["we", "we, beside another read", "the stranger"])
+def test_a_stranger_that_reads_what_we_write_takes_nothing_from_our_confirmation(begins: str, answers: tuple[str, ...]) -> None:
+    """The server says 0x60 to writes alone. A value is no answer to a write."""
+    bench = Shared()
+    if begins.startswith("we"):
+        request = bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+        bench.other(*([FOREIGN_READ] if "beside" in begins else []), READS_IT)
+    else:
+        bench.other(READS_IT)
+        request = bench.client.download(0x6040, 0, b"\x0f\0", bench.now, urgent=True)
+    for answer in answers:
+        bench.hear(answer)
+        assert bool(bench.outcomes() == [SdoDownloaded(12, request, 0x6040, 0)]) == (answer == OURS)
+    assert bench.frames() == ["60C#2B4060000F000000"]
+
+
+def test_a_refusal_that_may_be_the_strangers_leaves_our_write_not_confirmed_and_our_answer_confirms_no_later_one() -> None:
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.other(READS_IT)
+    bench.hear("80 40 60 00 01 00 01 06")  # it cannot be read
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+    second = bench.client.download(0x6040, 0, b"\x07\0", bench.now, urgent=True)
+    bench.other(FOREIGN_READ)
+    bench.hear(OURS)  # to the first one
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.request_id, end.origin, end.not_confirmed) == (second, AbortOrigin.CONTESTED, True)
+
+
+def test_an_answer_to_a_write_of_ours_that_ended_long_ago_confirms_none_while_a_stranger_has_gone_on_since() -> None:
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.other("A4 01 10 00 02 00 00 00")
+    for _ in range(8):
+        bench.wait(100 * MILLISECOND)
+        bench.other(FOREIGN_READ)
+    bench.outcomes()
+    bench.client.download(0x6040, 0, b"\x07\0", bench.now, urgent=True)
+    bench.hear(OURS)
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+
+
+def test_a_stranger_that_reads_what_we_write_and_then_writes_it_has_perhaps_our_confirmation() -> None:
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.other(READS_IT, "2B 40 60 00 06 00 00 00")
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+
+
+def test_a_value_in_segments_of_the_object_that_we_write_ends_the_write_in_doubt() -> None:
+    """Some servers hear no request of others in such a transfer."""
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.other(READS_IT)
+    bench.hear("41 40 60 00 08 00 00 00")
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+
+
+@pytest.mark.parametrize("foreign", ["2B 40 60 00 06 00 00 00", "80 40 60 00 00 00 04 05"])
 def test_a_write_is_not_confirmed_if_the_answer_may_be_the_strangers(foreign: str) -> None:
     bench = Shared()
     bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
@@ -433,8 +499,7 @@ def test_a_write_waits_for_the_late_confirmation_of_each_of_two_urgent_ones_that
 def test_a_late_answer_to_a_read_does_not_show_that_the_server_has_our_write_of_that_object() -> None:
     bench = Shared()
     bench.client.download(0x1017, 0, b"\0\0", bench.now, urgent=True)
-    bench.other(STRANGERS["reads"][0])  # before ours on the bus
-    bench.hear(STRANGERS["reads"][1])
+    bench.other("80 17 10 00 00 00 04 05")  # before ours on the bus
     bench.client.download(0x1008, 0, b"\1", bench.now, urgent=True)
     bench.other(FOREIGN_READ)
     bench.hear("C6 08 10 00 04 00 00 00")  # to a read in blocks that was given up before

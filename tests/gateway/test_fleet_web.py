@@ -122,6 +122,18 @@ async def test_a_setting_is_written_only_if_the_page_and_the_bridge_both_allow_i
 
 
 @real_time
+async def test_a_value_that_fits_no_object_is_the_fault_of_who_asks_as_in_the_web_door() -> None:
+    async with one_site(3, allow="write", bridge_allows="write") as (shown, _):
+        for value in ("500", "soon", 70_000, 1.5, [1], None):
+            status, answer = await shown.put("/1/3/objects/1017", value=value)
+            assert status == 400, (value, answer)
+        assert (await shown.put("/1/3/objects/1017", value="500"))[1]["error"]["text"].endswith("is 500 meant?")
+        assert (await shown.put("/1/3/objects/1008", value="x"))[0] == 400  # read-only
+        assert (await shown.put("/1/3/objects/2FFF", value=1))[0] == 404
+        assert (await shown.http.get("/api/v1/1/3/objects/no_such_thing")).status_code == 404
+
+
+@real_time
 async def test_what_moves_is_never_written_whatever_the_bridge_allows() -> None:
     heard: list[str] = []
     async with one_site(3, allow="write", bridge_allows="write,motion", heard=heard) as (shown, _):

@@ -19,7 +19,7 @@ async def test_clients_requests_and_ports_are_bounded() -> None:
     async with gateway(3, limits=Limits(sessions=2, requests=1, ports=1, subscriptions=2)) as (_, service):
         (net,) = service.nets
         with service.open_session("one") as one, service.open_session("two") as two:
-            with pytest.raises(GatewayFullError, match="no more clients"), service.open_session("three"):
+            with pytest.raises(GatewayFullError, match="no room for more clients"), service.open_session("three"):
                 pass
             async with trio.open_nursery() as nursery:
                 nursery.start_soon(silent_read, one, net)

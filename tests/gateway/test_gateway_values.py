@@ -57,6 +57,9 @@ def test_a_value_as_both_gateways_write_it(word: str, data: str, canopennode: st
         ("u16", ""),
         ("u64", "99999999999999999999999999"),
         ("r32", "1e39"),
+        ("r32", "1e99999"),  # Python reads inf
+        ("r32", "-1e99999"),
+        ("r64", "1e999"),
         ("r32", "1_0"),
         ("r64", "abc"),
         ("b", "2"),

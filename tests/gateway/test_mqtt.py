@@ -278,7 +278,11 @@ def test_the_command_and_where_its_password_may_stand(run: Run, monkeypatch: pyt
     empty.write_text("")
     assert run(*words, "--user", "a", "--password-file", str(secret)).status == ExitCode.OK
     status, out, err = run(*words, "--read", "statusword", "--read", "statuswort")
-    assert (status, "did you mean statusword" in out + err) == (ExitCode.USAGE, True)
+    assert (status, "did you mean statusword" in out + err, "one way" in err) == (ExitCode.USAGE, True, False)
+    status, out, _ = run(*words, "--read", "statuswort", "--json")
+    assert (status, out) == (ExitCode.USAGE, "")
+    status, _, err = run("serve", "mqtt", "--site", "a/b", "-b", "demo")
+    assert (status, "small letters" in err) == (ExitCode.USAGE, True)
     for wrong in (
         ("--password-file", str(secret)),
         ("--user", "a", "--password-file", str(empty)),

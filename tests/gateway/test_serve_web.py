@@ -120,7 +120,7 @@ def test_the_collector_leaves_what_was_made_before_alone_while_a_door_is_served(
     """A full collection takes 35 ms: three cycles of an arm."""
     counts: list[int] = []
 
-    async def serve(door: WebDoor, service: GatewayService) -> None:
+    async def serve(door: WebDoor, service: GatewayService, begun: object) -> None:
         counts.append(gc.get_freeze_count())
         await trio.lowlevel.checkpoint()
 

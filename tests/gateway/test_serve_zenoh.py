@@ -210,7 +210,9 @@ def test_a_site_that_another_bridge_has_is_refused_in_words_unless_it_is_said_to
     assert status == ExitCode.CANNOT_OPEN
     for told in ("canopen/v1/hall/virtual-demo/alive", "--site", "--twin"):
         assert told in err
-    assert run(*words, "0.5", "--twin").status == ExitCode.OK
+    assert "is in the fleet" not in err
+    status, _, err = run(*words, "0.5", "--twin")
+    assert (status, "hall is in the fleet" in err) == (ExitCode.OK, True)
     token.undeclare()  # type: ignore[no-untyped-call]
     assert run(*words, "0.5").status == ExitCode.OK
     other.close()  # type: ignore[no-untyped-call]

@@ -98,6 +98,9 @@ async def test_a_number_given_as_text_is_refused_with_the_number_that_may_be_mea
             assert status == 400
             assert answer["error"]["text"].endswith("a number is expected; is 500 meant?")
         assert (await world.put("/1/3/objects/1017", value="soon"))[0] == 400
+        for text in ('{"value": 1e999}', '{"value": Infinity}', '{"value": NaN}'):
+            answer = await world.http.put("/api/v1/1/3/objects/1017", content=text, headers={"x-canopen": "1"})
+            assert (answer.status_code, "finite number" in answer.json()["error"]["text"]) == (400, True)
         assert (await world.get("/1/3/objects/1017"))["value"] == before
 
 

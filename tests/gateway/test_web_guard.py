@@ -155,6 +155,10 @@ async def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost:8402") as browser:
             assert (await browser.get("/api/v1/state")).status_code == 401
             assert (await browser.get("/?token=wrong")).status_code == 401
+            for refused in (await browser.get("/metrics"), await browser.get("/?token=wrong"), await browser.put("/api/v1/x")):
+                assert refused.headers["www-authenticate"] == 'Bearer realm="canopen"'  # RFC 9110, 11.6.1
+            only_read = await browser.post("/")
+            assert (only_read.status_code, only_read.headers["allow"]) == (405, "GET, HEAD")
             entered = await browser.get(f"/?token={TOKEN}")
             assert (entered.status_code, entered.headers["location"]) == (303, "/")
             cookie = entered.headers["set-cookie"]

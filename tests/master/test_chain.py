@@ -267,7 +267,8 @@ async def test_set_points_that_are_refused_change_nothing() -> None:
             ([0.0, Fraction(10**400, 3)], "a number is beyond all positions"),
             (["0.1", 0.0], "'0.1' is no number"),
             ([True, 0.0], "True is no number"),
-            ({"joint1": 0.1, "joint2": 0.1}, "'joint1' is no number"),
+            ({"joint1": 0.1, "joint2": 0.1}, "is no list of numbers; the joints are joint1, joint2"),
+            ({0.1: 0.1, 0.2: 0.1}, "is no list of numbers; the joints are joint1, joint2"),  # its keys were taken
             ([*start, 0.0], "the joints are joint1, joint2"),
             ([start[0], math.nan], "joint2 was refused"),
             ([start[0], math.inf], "not a finite number"),

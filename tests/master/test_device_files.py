@@ -33,7 +33,10 @@ def test_each_device_and_its_file_are_told() -> None:
     ("entries", "said"),
     [
         ([DeviceEntry(IO)], "CO127: which node-ID is sample_io.eds to have?\n  seen:  the file names none"),
-        ([DeviceEntry(IO, (5,)), DeviceEntry(DRIVE, (5,))], "CO127: there are two devices of node-ID 5"),
+        (
+            [DeviceEntry(IO, (5,)), DeviceEntry(DRIVE, (5,))],
+            f"CO127: there are two devices of node-ID 5: of {IO} and of {DRIVE}\n",
+        ),
         ([DeviceEntry(IO, (5,), values={"1017": 70_000})], "CO127: sample_io.eds: values: "),
         ([DeviceEntry(IO, (5,), values={"2FFF": 1})], "CO127: sample_io.eds: values: "),
     ],

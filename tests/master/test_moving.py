@@ -354,6 +354,15 @@ async def test_what_else_is_refused() -> None:
                 with pytest.raises(PlanRefusedError, match=": speed must be above 0 and at most 1"):
                     async with block(speed=speed):
                         pass
+        for speed in ("x", None, [1.0], True):
+            with pytest.raises(PlanRefusedError, match="speed must be a number above 0 and at most 1") as refused:
+                await arm.move([0.1, 0.1], speed=speed)
+            assert refused.value.seen == repr(speed)
+            with pytest.raises(PlanRefusedError, match="speed must be a number above 0 and at most 1"):
+                await arm.jog(speed=speed).__aenter__()
+        for targets in ({1: 0.1, 2: 0.2}, {0.1, 0.2}):
+            with pytest.raises(PlanRefusedError, match="is no list of numbers"):
+                await arm.move(targets)
         with pytest.raises(PlanRefusedError, match="beyond all positions"):
             await arm.move([0.0, 10**400])
         async with arm.stream() as targets:

@@ -54,6 +54,25 @@ async def _simulate(transport, events: list[Event]) -> None:  # type: ignore[no-
 
 
 @virtual_time
+async def test_two_devices_of_one_node_id_on_one_bus_are_refused_by_their_names() -> None:
+    double = [*standard_drives(5), partial(powerball, node_id=6), partial(powerball, node_id=5)]
+    told = (
+        "'Simulated CiA 402 drive' and 'Simulated Schunk Powerball joint' both have node-ID 5 on virtual:test; give each its own"
+    )
+    with pytest.raises(LocalProtocolError, match=told):
+        async with simulated_devices({BUS: double}):
+            pytest.fail("they were served")
+    with pytest.RaisesGroup(pytest.RaisesExc(LocalProtocolError, match=told)):
+        async with loop.open_nursery() as nursery:
+            await nursery.start(simulate, await open_transport(BUS), double)
+    async with simulated_devices({BUS: double[:2], "virtual:other": double[2:]}) as served:  # on two buses it is no fault
+        assert served.node_ids == [5, 6]
+    nobody = partial(powerball, node_id=UNCONFIGURED)
+    async with simulated_devices({BUS: [nobody, nobody]}) as served:
+        assert served.node_ids == [UNCONFIGURED]
+
+
+@virtual_time
 async def test_a_failing_bus_ends_the_simulation() -> None:
     cable = Breakable()
     with pytest.RaisesGroup(pytest.RaisesExc(BusError, match="cable was cut")):

@@ -180,7 +180,7 @@ NOT_THERE = "the adapter is not plugged in, its driver is not loaded, or it has 
          "another program uses the adapter", "fuser -v /dev/ttyACM0"),
         ("gs_usb:0", os_error(errno.EBUSY), "CO101", "another program uses the adapter", "close the other program"),
         ("slcan:/dev/ttyACM7", caused_by(can.CanInitializationError("no port"), os_error(errno.ENOENT)), "CO101",
-         NOT_THERE, "virtual"),
+         NOT_THERE, "plug it in, then canopen doctor"),
         ("socketcan:can0", os_error(errno.EAFNOSUPPORT), "CO101", "the kernel was built without it, or the module is not loaded",
          "sudo modprobe can_raw"),
         ("socketcan:can0", AttributeError("module 'socket' has no attribute 'AF_CAN'"), "CO101",
@@ -217,6 +217,13 @@ def test_one_message_in_full() -> None:
         "  try:   sudo usermod -aG dialout $USER   (then log in again)"
     )
     assert repr(error) == "TransportError('CO102', 'slcan:/dev/ttyACM0', 'cannot open slcan:/dev/ttyACM0')"
+
+
+def test_a_serial_device_that_is_not_there_is_named_once() -> None:
+    raised = caused_by(can.CanInitializationError("[Errno 2] could not open port /dev/nope"), os_error(errno.ENOENT))
+    assert cannot_open(parse_locator("slcan:/dev/nope"), raised).seen == "there is no /dev/nope"
+    raised = caused_by(can.CanInitializationError("could not open port COM3"), os_error(errno.ENOENT))
+    assert "COM3" in cannot_open(parse_locator("slcan:COM3"), raised).seen
 
 
 def test_socketcan_says_the_exact_command() -> None:

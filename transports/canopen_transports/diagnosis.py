@@ -176,6 +176,9 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         tries = [f"socketcand -v -i {locator.channel or 'can0'}   (on the computer that has the adapter)", *tries]
     elif number in (errno.ENODEV, errno.ENOENT, errno.ENXIO) or _NOT_FOUND.search(seen):
         cause = _NO_ADAPTER
+        if device and number == errno.ENOENT:  # pyserial's text has the number and the name twice
+            seen = f"there is no {device}"
+        tries.insert(-1, "plug it in, then canopen doctor   (which adapters this computer has)")
         tries = [*_kernel_driver(locator), *tries]
     elif _driver_is_missing(error):
         cause = "the software for this adapter is not installed"

@@ -7,6 +7,7 @@ of that. What this module does not know, click does: names of commands, options,
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -64,6 +65,10 @@ NODE_FIRST: Final = (
 )
 VERB_FIRST: Final = ("drive", "pdo", "emcy", "nmt")
 """Groups whose commands have the node behind the verb."""
+_NUMBER: Final = re.compile(r"(0x)?(?:[0-9][0-9a-f]{0,3}|[0-9a-f]{4}:)", re.IGNORECASE)
+"""How the number of an object begins: names begin with a letter."""
+_INDEX: Final = re.compile(r"(?:0x)?[0-9a-f]{4}:", re.IGNORECASE)
+"""An index, which is longer than a node-ID."""
 OBJECTS: Final = {"read": None, "watch": None, "write": 2}
 """Commands that take objects behind the node; and how many words `write` has before its value."""
 
@@ -106,8 +111,7 @@ def known_words(words: Sequence[str], begun: str) -> Iterator[CompletionItem[str
     if words and words[-1] in OF_FILES:
         return _files(begun)
     if words and words[-1] in OF_OBJECTS:
-        node, colon, _ = begun.partition(":")
-        return _items(_objects_at(words, node) if colon else objects(words, ""), begun)
+        return _items(_objects_at(words, begun) if _has_node(begun) else objects(words, "", begun), begun)
     if begun.startswith("-"):
         return None
     line = [
@@ -115,25 +119,26 @@ def known_words(words: Sequence[str], begun: str) -> Iterator[CompletionItem[str
     ]
     if tuple(line[:2]) in OBJECTS_OF_FILES and len(line) > 2:
         named = ("-e", line[2]) if line[0] == "eds" else ()
-        return _items(objects((*words, *named), ""), begun)
+        return _items(objects((*words, *named), "", begun), begun)
     if line and ((line[0] in FILE_GROUPS and len(line) > 1) or line[0] in FILE_FIRST):
         return None if words[-1].startswith("-") else _files(begun)  # an option of the command's, which may take a value
     if line[:1] and line[0] in OBJECTS and len(line) > 1 and ":" in line[1]:  # the object stands at its node
         line[1:2] = line[1].split(":", 1)
+    if line[:2] == ["drive", "mode"] and len(line) == 3:
+        return _items(modes(), begun)
     if line and line[0] in VERB_FIRST:
         return _items(nodes(words), begun) if len(line) == 2 else None
     if not line or line[0] not in NODE_FIRST:
         return None
-    node, colon, _ = begun.partition(":")
-    if line[0] in OBJECTS and len(line) == 1 and colon:
-        return _items(_objects_at(words, node), begun)
+    if line[0] in OBJECTS and len(line) == 1 and ":" in begun:
+        return _items(_objects_at(words, begun), begun)
     if len(line) == 1:
         return _items(nodes(words), begun)
     if line[0] not in OBJECTS:
         return None
     before_value = OBJECTS[line[0]]
     if before_value is None or len(line) == before_value:
-        return _items(objects(words, line[1]), begun)
+        return _items(objects(words, line[1], begun), begun)
     return _items(constants(words, line[1], line[2]), begun) if len(line) == before_value + 1 else None
 
 
@@ -146,9 +151,22 @@ def _files(begun: str) -> Iterator[CompletionItem[str]]:
     return iter([CompletionItem(begun, type="file")])
 
 
-def _objects_at(words: Sequence[str], node: str) -> dict[str, str]:
-    """Return the objects of a node as words such as "5:statusword"."""
-    return {f"{node}:{name}": text for name, text in objects(words, node).items()}
+def _has_node(begun: str) -> bool:
+    """Return whether a word begins with a node, as "5:statusword" does; "1018:01" is an object alone."""
+    return ":" in begun and _INDEX.match(begun) is None
+
+
+def _objects_at(words: Sequence[str], begun: str) -> dict[str, str]:
+    """Return the objects of a node as words such as "5:statusword". begun: the node, a colon, and the beginning of an object."""
+    node, _, key = begun.partition(":")
+    return {f"{node}:{name}": text for name, text in objects(words, node, key).items()}
+
+
+def modes() -> dict[str, str]:
+    """Return the short names of the modes of operation, with their long ones."""
+    from canopen_proto.drives.cia402.modes import Mode, mode_name, short_name
+
+    return {short_name(each): mode_name(each) for each in Mode if each}
 
 
 def _values(words: Sequence[str], *options: str) -> list[str]:
@@ -225,8 +243,13 @@ def dictionary_of(words: Sequence[str], node: str) -> ObjectDictionary:
         return ObjectDictionary([])  # the command will tell
 
 
-def objects(words: Sequence[str], node: str) -> dict[str, str]:
-    """Return the names of a node's objects, with their numbers. A name that has blanks is left out for its alias."""
+def objects(words: Sequence[str], node: str, begun: str = "") -> dict[str, str]:
+    """Return the names of a node's objects, with their numbers; where a number is begun, the numbers, with their names. A name
+    that has blanks is left out for its alias."""
+    number = _NUMBER.match(begun)
+    if number is not None:
+        prefix = number[1] or ""
+        return {f"{prefix}{each.index:04X}:{each.subindex:02X}": each.name for each in dictionary_of(words, node)}
     found = {}
     for variable in dictionary_of(words, node):
         for name in (variable.name, *variable.aliases):

@@ -62,7 +62,7 @@ class _Drives(LazyGroup):
         is_old = len(args) > 1 and args[0] not in self.table and not args[0].startswith("-")
         if is_old and (args[1] in self.table or (_is_node(args[0]) and not args[1].startswith("-"))):
             args[:2] = [args[1], args[0]]
-        elif len(args) == 1 and _is_node(args[0]) and not ctx.resilient_parsing:
+        elif args and _is_node(args[0]) and not ctx.resilient_parsing:
             raise usage(
                 "CO001", f"what is drive {args[0]} to do?", tries=(f"canopen drive state {args[0]}", "canopen drive --help")
             )

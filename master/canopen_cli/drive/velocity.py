@@ -30,7 +30,7 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 
 
 @command(cls=NumberCommand)
-@click.argument("value", type=float)
+@click.argument("value", type=FiniteRange())
 @click.option(
     "--in",
     "unit",
@@ -42,6 +42,12 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
 @click.option("--acceleration", type=_ABOVE_0, help="Per second, in the unit of VALUE; by default the drive's own ramp.")
 @click.option("--deceleration", type=_ABOVE_0, help="In the same way.")
 @click.option("--max-speed", type=_ABOVE_0, help="The highest VALUE; by default the drive's, else 30,000 counts per second.")
+@click.option(
+    "--counts-per-motor-turn",
+    type=_ABOVE_0,
+    metavar="COUNTS",
+    help="For rpm, and for vl: COUNTS of the position in a turn of the motor, by its manual.  [default: as the drive tells]",
+)
 @enabling
 @commanding
 def velocity(
@@ -54,6 +60,7 @@ def velocity(
     acceleration: float | None,
     deceleration: float | None,
     max_speed: float | None,
+    counts_per_motor_turn: float | None,
 ) -> None:
     """Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C. IT MOVES, as long as the command runs.
 
@@ -78,7 +85,9 @@ def velocity(
     def procedure(axis: Axis) -> Procedure[tuple[DriveView, float | None]]:
         yield from procedures.identify(axis)
         mode = yield from procedures.choose_velocity_mode(axis, None if mode_name_ is None else _MODES[mode_name_])
-        yield from _set_scale(axis, chosen, mode, max_speed)
+        if counts_per_motor_turn is not None:
+            axis.settings = replace(axis.settings, counts_per_motor_turn=counts_per_motor_turn)
+        yield from _set_scale(axis, value, chosen, mode, max_speed)
         if max_speed is not None:  # the limit of a joint in the machine file stays
             limit = axis.settings.max_speed
             axis.settings = replace(axis.settings, max_speed=max_speed if limit is None else min(max_speed, limit))
@@ -113,15 +122,15 @@ def _named(value: float, unit: str) -> str:
     return f"{value:.10g} {unit if unit == COUNTS else f'{unit}s'} per second"
 
 
-def _set_scale(axis: Axis, unit: str, mode: Mode, max_speed: float | None) -> Procedure[None]:
+def _set_scale(axis: Axis, value: float, unit: str, mode: Mode, max_speed: float | None) -> Procedure[None]:
     """Make turns of the motor per minute the unit of the axis, if that of the command or the drive needs them.
 
-    Raises a CommandError if the drive does not tell what a turn is.
+    Raises a CommandError if nobody tells what a turn is.
     """
     if unit != RPM and mode is not Mode.VELOCITY:
         return
-    turn = (yield from procedures.learn_units(axis)).per_motor_turn
-    turn = axis.settings.counts_per_motor_turn or turn
+    units = yield from procedures.learn_units(axis)
+    turn = axis.settings.counts_per_motor_turn or units.per_motor_turn
     node_id = axis.node.node_id
     if turn is None and unit == RPM and mode is Mode.VELOCITY and not (yield from _counts(axis.node)):
         told = yield from read_number(axis.node, objects.MAX_MOTOR_SPEED)
@@ -134,12 +143,17 @@ def _set_scale(axis: Axis, unit: str, mode: Mode, max_speed: float | None) -> Pr
             )
         axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0, max_speed=min(limits))
     elif turn is None:
+        named = "" if unit == COUNTS else f" --in {unit}"
+        shaft = "" if units.per_turn is None else f": {units.per_turn:g}, a turn of its shaft, divided by its gear"
         raise usage(
             "CO321",
-            f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F), in which it takes its velocity",
+            f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F)",
+            cause="in velocity mode (vl) its target (0x6042) is in turns of the motor; its position and its limits are in counts"
+            if mode is Mode.VELOCITY
+            else "rpm are turns of the motor; its position is in counts",
             tries=(
-                f"canopen drive units {node_id}    what it tells",
-                "counts_per_motor_turn of its joint in a machine file (-m), by its manual",
+                f"canopen drive velocity {node_id} {value:g}{named} --counts-per-motor-turn COUNTS    by its manual{shaft}",
+                "counts_per_motor_turn of its joint in a machine file (-m), which keeps it",
             ),
         )
     elif unit == RPM:

@@ -19,7 +19,7 @@ from canopen_cli.live.window import Window, clocked, time_of_day, windowed
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import FILE, Settings, command, commanding
+from canopen_cli.shared.options import DEMO, FILE, Settings, command, commanding
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run, same_file
@@ -119,6 +119,12 @@ def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_se
         factor = 0.0
     if factor is not None and not 0 < factor < 1e9:
         raise usage("CO001", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
+    if bus == DEMO and not settings.dry_run:
+        raise usage(
+            "CO123",
+            "log replay sends on a bus that others hear, and -b demo is inside one process",
+            tries=("-b tcp    the bus of `canopen bus serve`", f"canopen log replay {source} -b {bus} --dry-run"),
+        )
     reader = LogReader(source)
     if settings.dry_run:
         _show_replay(settings, screen, (each for each in records_in(reader, window) if each.sent or not only_sent))

@@ -81,15 +81,16 @@ def picture(view: TopView, width: int, height: int, paused: float | None = None)
     shown = view.buses[view.chosen]
     head = _head(view, shown, width, paused)
     keys = KEYS + ("   b next bus" if len(view.buses) > 1 else "")
-    foot = [line(note, width, "yellow") for note in view.notes] + [line(keys, width, "dim")]
+    foot = _absent(shown, width) + [line(note, width, "yellow") for note in view.notes] + [line(keys, width, "dim")]
     room = height - len(head) - len(foot) - 1
     events = _events(shown, width)
-    nodes = sorted(shown.figures.nodes, key=SORTS[view.sort])
+    nodes = _heard(shown, view.sort)
+    all_of_them = len(nodes)
     for_nodes = max(1, min(len(nodes), room - min(len(events), MOST_EVENTS)))
     cut = len(nodes) - for_nodes
     if cut > 0:
         nodes = nodes[: max(0, for_nodes - 1)]
-        cut = len(shown.figures.nodes) - len(nodes)
+        cut = all_of_them - len(nodes)
     body: list[RenderableType] = [*head, _table(nodes, shown, view.sort, width)]
     used = len(nodes)
     if cut > 0:
@@ -106,11 +107,11 @@ def plain(view: TopView, width: int) -> RenderableType:
     for number, shown in enumerate(view.buses):
         if number:
             pieces.append(Text(""))
-        nodes = sorted(shown.figures.nodes, key=SORTS[view.sort])
         pieces += [
             *_head(view._replace(chosen=number), shown, width, None),
-            _table(nodes, shown, view.sort, width),
+            _table(_heard(shown, view.sort), shown, view.sort, width),
             *_events(shown, width),
+            *_absent(shown, width),
         ]
     return Group(*pieces, *(line(note, width, "yellow") for note in view.notes))
 
@@ -197,6 +198,24 @@ def _state_cell(node: NodeFigures, now: Time) -> str:
 
 
 _SHORT: Final = {"pre-operational": "pre-op", "initialising": "init"}
+
+
+def _heard(shown: BusShown, sort: str) -> list[NodeFigures]:
+    """Return the nodes for the table: those that have sent anything. A scan speaks to all 127."""
+    return sorted((each for each in shown.figures.nodes if each.last_heard is not None), key=SORTS[sort])
+
+
+def _absent(shown: BusShown, width: int) -> list[Text]:
+    """Return a line with the node-IDs to which others have only spoken, if there are any."""
+    ids = [each.node_id for each in shown.figures.nodes if each.last_heard is None]
+    runs: list[list[int]] = []
+    for node_id in ids:
+        if runs and node_id == runs[-1][-1] + 1:
+            runs[-1].append(node_id)
+        else:
+            runs.append([node_id])
+    words = ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+    return [line(f"spoken to, and never heard: {words}", width, "dim")] if ids else []
 
 
 def _table(nodes: Sequence[NodeFigures], shown: BusShown, sort: str, width: int) -> RenderableType:

@@ -133,6 +133,7 @@ def read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple
     keys = with_named_object(keys, request.node_id)
     refuse_over_text(settings, output=output, block=request.block)
     if output is not None:
+        _refuse_type(request.type_name)
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
         check_new_file(settings, screen, output)
@@ -247,9 +248,15 @@ async def _read_file(
 ) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim(request.node_id):
         node = session.node(request.node_id)
-        variable = find_object(node.dictionary, key, request.type_name or BYTES)
+        variable = find_object(node.dictionary, key, BYTES)
         _check_readable(variable)
         return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
+
+
+def _refuse_type(type_name: str | None) -> None:
+    """Raise a CommandError for a --type where a file is: it would say nothing."""
+    if type_name is not None:
+        raise usage("CO001", "a file has the bytes of the object as they are: no --type", tries=("the same without --type",))
 
 
 def _tell_other_type(screen: Screen, dictionary: ObjectDictionary, variable: Variable, request: AccessRequest) -> None:
@@ -304,6 +311,7 @@ def write(settings: Settings, screen: Screen, request: AccessRequest, words: tup
     text = values[0] if values else None
     refuse_over_text(settings, file=path, block=request.block, dry_run=settings.dry_run)
     if path is not None and text is None:
+        _refuse_type(request.type_name)
         written = run_or_show(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=request.verify)
         return
@@ -328,7 +336,7 @@ def _shown(reading: ObjectReading) -> str:
 async def _write_file(settings: Settings, screen: Screen, request: AccessRequest, key: str, path: str) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim_to_write(request.node_id):
         node = session.node(request.node_id)
-        variable = find_object(node.dictionary, key, request.type_name or BYTES)
+        variable = find_object(node.dictionary, key, BYTES)
         _check_writable(variable)
         verify = request.verify and variable.access.readable
         return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)

@@ -9,6 +9,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.serve.served import open_service, serve_door
+from canopen_cli.serve.site_name import SiteName
 from canopen_cli.shared.options import FILE, Kind, Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, escape
@@ -33,7 +34,7 @@ class Broker(Kind):
 
 
 @command(name="mqtt")
-@click.option("--site", required=True, metavar="NAME", help="The name of this computer in topics.")
+@click.option("--site", type=SiteName(), required=True, metavar="NAME", help="The name of this computer in topics.")
 @click.option(
     "--broker",
     type=Broker(),

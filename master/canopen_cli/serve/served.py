@@ -36,8 +36,8 @@ class ServedDoor(Protocol):
 
     async def __aexit__(self, *exc: object) -> None: ...
 
-    async def serve(self, service: GatewayService) -> None:
-        """Serve clients until cancelled, or until the door itself fails."""
+    async def serve(self, service: GatewayService, begun: Callable[[], object]) -> None:
+        """Serve clients until cancelled, or until the door itself fails. begun: called once it serves."""
 
 
 D = TypeVar("D", bound=ServedDoor)
@@ -52,15 +52,21 @@ def serve_door(
     seconds: float,
 ) -> None:
     """Serve a door until Ctrl-C. bind: gives it its address, before anything else: a port in use is told while nothing moves yet.
-    opened: the machine. tell: says where the door is. seconds: end after this time. Raises why the door failed, too."""
+    opened: the machine. tell: says where the door is, once it serves. seconds: end after this time from then on. Raises why the
+    door failed, too."""
 
     @first_error()
     async def serve() -> None:
         door = await bind()
-        async with door, opened() as service:
+        over = trio.CancelScope()
+
+        def begun() -> None:
             tell(door, service)
-            with _old_objects_at_rest(), trio.move_on_after(seconds):
-                await door.serve(service)
+            over.deadline = trio.current_time() + seconds
+
+        async with door, opened() as service:
+            with _old_objects_at_rest(), over:
+                await door.serve(service, begun)
         if door.failure is not None:
             raise door.failure
 

@@ -8,22 +8,13 @@ import click
 
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.shared.options import Settings, TextKind, command, lasting
+from canopen_cli.serve.site_name import SiteName
+from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission
 from canopen_gateway.fleet import FleetDoor, bind_fleet_door
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
-from canopen_gateway.fleet.keys import check_name
-
-
-class SiteName(TextKind):
-    """The name of a site in keys."""
-
-    name = "name"
-
-    def read(self, text: str) -> str:
-        return check_name("site", text)
 
 
 @command(name="zenoh")

@@ -146,6 +146,7 @@ _KINDS: Final = {
 }
 """What click says of a value, in plainer words."""
 _WRONG_CHOICE: Final = re.compile(r": '([^']*)' is not one of (.*)")
+_WITH_UNIT: Final = re.compile(r"'([-+.0-9]+) ?([A-Za-z]+)' is not a number")
 _EXTRA: Final = re.compile(r"Got unexpected extra argument \((\S+)\)")
 
 
@@ -160,9 +161,14 @@ def _example_of(error: click.UsageError) -> list[str]:
 
 def _of_usage(error: click.UsageError) -> CommandError:
     command = error.ctx.command_path if error.ctx is not None else "canopen"
+    if isinstance(error, click.NoSuchOption):  # click compares them with their hyphens, so that --method is near to --eds
+        near = get_close_matches(error.option_name.strip("-"), [each.strip("-") for each in error.possibilities or ()])
+        error = click.NoSuchOption(error.option_name, possibilities=[f"--{each}" for each in near], ctx=error.ctx)
     tries = [*_example_of(error), f"{command} --help"]
     if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
         tries.insert(0, f"negative numbers behind `--`: {command} ... -- {error.option_name}")
+    elif isinstance(error, click.NoSuchOption) and error.ctx is not None and isinstance(error.ctx.command, click.Group):
+        tries.insert(0, f"{error.option_name} behind the command: {command} COMMAND ... {error.option_name}")
     text = error.format_message()
     if isinstance(error, click.MissingParameter):
         text = text.replace("\n\t", " ")  # click lists the choices in lines of their own
@@ -172,8 +178,16 @@ def _of_usage(error: click.UsageError) -> CommandError:
     if wrong is not None:
         near = get_close_matches(wrong[1].lower(), re.findall("'([^']+)'", wrong[2]), 2)
         tries[:0] = [f"did you mean {' or '.join(near)}?"] if near else []
+    united = _WITH_UNIT.search(text)
+    if united is not None and error.ctx is not None and any("--in" in each.opts for each in error.ctx.command.params):
+        tries.insert(0, f"{united[1]} --in {united[2]}")
     extra = _EXTRA.search(text)
-    if extra is not None and error.ctx is not None and any("--bus" in each.opts for each in error.ctx.command.params):
+    if (
+        extra is not None
+        and not extra[1].isdecimal()
+        and error.ctx is not None
+        and any("--bus" in each.opts for each in error.ctx.command.params)
+    ):
         tries.insert(0, f"-b {extra[1]}    (if it is a bus)")
     return usage("CO001", text, tries=tries)
 
@@ -186,10 +200,15 @@ def _of_bus(code: str) -> ExitCode:
 
 def _what_was_meant(problem: CommandError, locator: str) -> CommandError:
     """Add what was perhaps meant by the name of a bus that is none: the demonstration, or a recording. Returns the problem."""
-    if problem.code != BAD_LOCATOR or ":" in locator:
+    if problem.code != BAD_LOCATOR:
         return problem
-    if nearest(locator, (DEMO,)):
+    name, *behind = re.split("[:@?]", locator, maxsplit=1)
+    if nearest(name, (DEMO,)):
         problem.tries = (f"-b {DEMO}", *problem.tries)
+        if behind:
+            problem.seen = f"{DEMO} is six simulated drives in this process: nothing stands behind its name"
+    if ":" in locator:
+        return problem
     if not (suffix := Path(locator).suffix.lower()):
         return problem
     from canopen_transports.log_files import LOSSES  # formats of logs need long to import

@@ -8,13 +8,36 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import click
 from click.shell_completion import CompletionItem
 
 from canopen_cli.shared.importing import importing, start_is_over
 from canopen_cli.shared.problem import usage
+
+SAME: Final = {
+    "diagnose": ("state",),
+    "status": ("state",),
+    "check": ("lint",),
+    "validate": ("lint",),
+    "get": ("read",),
+    "set": ("write",),
+    "upload": ("read",),
+    "download": ("write", "flash"),
+    "update": ("flash",),
+    "firmware": ("flash",),
+    "discover": ("scan",),
+    "list": ("scan",),
+    "ls": ("scan", "list"),
+    "sniff": ("monitor",),
+    "dump": ("show",),
+    "reset": ("fault-reset",),
+    "simulate": ("sim",),
+    "new": ("init", "from-chains"),
+    "create": ("new", "init", "from-chains"),
+}
+"""What is called otherwise elsewhere, and the commands here that do it, in whichever group they are."""
 
 
 class NamingGroup(click.Group):
@@ -23,15 +46,24 @@ class NamingGroup(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         is_word = bool(args) and not args[0].startswith("-")
         if is_word and args[0] not in self.list_commands(ctx) and not ctx.resilient_parsing:
-            near = [f"{ctx.command_path} {name}" for name in self.meant_by(ctx, args[0])]
-            raise usage("CO001", f"there is no command {args[0]!r}", tries=(*near, f"{ctx.command_path} --help"))
+            raise usage("CO001", f"there is no command {args[0]!r}", tries=tuple(self._lines_meant(ctx, args)))
         return super().resolve_command(ctx, args)
 
+    def _lines_meant(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Return the command lines that were perhaps meant, the likeliest first."""
+        path = ctx.command_path
+        if args[0] == "help":
+            return [" ".join((path, *(args[1:] if args[1:2] and args[1] in self.list_commands(ctx) else ()), "--help"))]
+        options = [f"--{args[0]}"] if any(f"--{args[0]}" in each.opts for each in self.get_params(ctx)) else []
+        return [f"{path} {word}" for word in (*options, *self.meant_by(ctx, args[0]), "--help")]
+
     def meant_by(self, ctx: click.Context, word: str) -> list[str]:
-        """Return the commands that a word is near to."""
+        """Return the commands that a word is near to, or means elsewhere."""
         from difflib import get_close_matches
 
-        return get_close_matches(word.lower(), self.list_commands(ctx))
+        names = self.list_commands(ctx)
+        found = [each for each in SAME.get(word.lower(), ()) if each in names]
+        return list(dict.fromkeys((*found, *get_close_matches(word.lower(), names))))
 
 
 class LazyGroup(NamingGroup):

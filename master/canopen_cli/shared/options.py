@@ -230,6 +230,8 @@ class NodeId(Kind):
         except CommandError as error:
             if _SEVERAL.fullmatch(str(value)):
                 error.tries = ("the same for each of them: this command is about one node at a time",)
+            if value == "all" and ctx is not None and any("--all" in each.opts for each in ctx.command.params):
+                error.tries = ("--all    (all nodes of the bus)",)
             if ctx is not None and Path(str(value)).suffix and any("--log" in each.opts for each in ctx.command.params):
                 error.tries = (f"--log {value}    (if it is a recording)", *error.tries)
             raise

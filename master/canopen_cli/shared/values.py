@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -147,9 +148,12 @@ def _number(text: str) -> int | float | None:
         pass
     try:
         # People type "007", which is no literal of Python. "1.5" for a whole number is refused later, with its range.
-        return int(text) if text.lstrip("+-").isdecimal() else float(text)
+        number = int(text) if text.lstrip("+-").isdecimal() else float(text)
     except ValueError:
         return None
+    if isinstance(number, float) and math.isinf(number) and "inf" not in text.lower():  # 1e999, of which Python makes inf
+        raise usage("CO304", f"{text} is beyond all numbers that can be sent", seen="nothing was sent")
+    return number
 
 
 def identity_json(identity: Sequence[int | None]) -> dict[str, int | None]:

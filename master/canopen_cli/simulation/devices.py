@@ -56,6 +56,8 @@ def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common
     entries = []
     for name in files:
         match = None if Path(name).exists() else _WITH_IDS.fullmatch(name)
+        if match is None and re.fullmatch("[0-9][0-9,-]*", name) and not Path(name).exists():
+            raise usage("CO127", f"there is no file {name!r}", tries=(f"canopen sim --id {name}    (simulated drives)",))
         ids = () if match is None else SimulatedIds().read(match[1])
         entries.append(replace(common, file=name if match is None else match[2], node_ids=ids))
     if node_ids is not None:

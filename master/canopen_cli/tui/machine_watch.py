@@ -281,8 +281,8 @@ class MachineWatch:
         self._start(self._find)
 
     def ask_read(self, place: ObjectPlace) -> None:
-        """Read an object."""
-        self._start(partial(self._read, place))
+        """Read an object, and tell its value."""
+        self._start(partial(self._read_and_tell, place))
 
     def ask_write(self, place: ObjectPlace, text: str) -> None:
         """Write an object, and read it back. text: as `bytes_of` takes it."""
@@ -342,6 +342,10 @@ class MachineWatch:
             raise
         value = decoded(dictionary, place.index, place.subindex, data)
         self._objects[place] = ReadObject(shown_value(dictionary, place, value))
+
+    async def _read_and_tell(self, place: ObjectPlace) -> None:
+        await self._read(place)
+        self.notices.append((f"{place_text(place.index, place.subindex)} is {self._objects[place].text}", False))
 
     async def _write(self, place: ObjectPlace, text: str) -> None:
         node = self.service.node(place.net, place.node_id)

@@ -24,7 +24,7 @@ import os
 import re
 import socket
 import stat
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -107,9 +107,12 @@ class AsciiDoor:
         """How many clients are connected."""
         return len(self._clients)
 
-    async def serve(self, service: GatewayService) -> None:
-        """Serve clients until cancelled. Returns early only if the door itself fails; see `failure`."""
+    async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
+        """Serve clients until cancelled. begun: called once the door serves. Returns early only if the door itself fails; see
+        `failure`."""
         async with self:
+            if begun is not None:
+                begun()
             try:
                 async with trio.open_nursery() as connections:
                     for listener in self._listeners:

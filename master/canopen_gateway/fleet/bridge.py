@@ -25,7 +25,7 @@ import logging
 import secrets
 import time
 from collections import defaultdict, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -33,7 +33,15 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import trio
 
-from canopen_gateway.errors import DoorError, GatewayError, GatewayFullError, QueryRefusedError
+from canopen_gateway.errors import (
+    BRIDGE_REFUSED,
+    NO_SUCH_PLACE,
+    DoorError,
+    GatewayError,
+    GatewayFullError,
+    NoSuchPlaceError,
+    QueryRefusedError,
+)
 from canopen_gateway.fleet import keys
 from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_bus, parse_key
@@ -49,6 +57,7 @@ from canopen_proto import LocalProtocolError, PdoReceived
 from canopen_proto.abort import AbortCode
 from canopen_proto.bus_knowledge import HeardService
 from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectNotFoundError
 from canopen_proto.gateway import GatewayCode, GatewayNews, NodeReport
 from canopen_proto.machine import SECOND
 from canopen_proto.manager.scan import NodeFound, Scanner, scan
@@ -145,10 +154,11 @@ class FleetDoor:
         if not self._zenoh.is_closed():
             await close_zenoh(self._zenoh)
 
-    async def serve(self, service: GatewayService) -> None:
-        """Serve the fleet until cancelled. Returns early only if the door itself fails; see `failure`. Raises GatewayFullError,
-        ValueError if two buses would have one name; DoorError if another bridge of the fleet serves a bus of this name, and still
-        does so after TWIN_WAIT seconds. Until that is known, halts are served, and nothing else."""
+    async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
+        """Serve the fleet until cancelled. begun: called once it serves all that it is asked. Returns early only if the door
+        itself fails; see `failure`. Raises GatewayFullError, ValueError if two buses would have one name; DoorError if another
+        bridge of the fleet serves a bus of this name, and still does so after TWIN_WAIT seconds. Until that is known, halts are
+        served, and nothing else."""
         import zenoh
 
         self.buses = self.names_of(service.nets)
@@ -166,6 +176,8 @@ class FleetDoor:
                             self._taking = Taking.NOTHING  # the halts that are under way come to their end
                         else:
                             self._begin(nursery)
+                            if begun is not None:
+                                begun()
                 except* zenoh.ZError as failed:
                     self.failure = failed.exceptions[0]
                     LOGGER.warning("the door to the fleet is closed: %s", self.failure)
@@ -455,7 +467,7 @@ class FleetDoor:
             answers.append(_refusal(error, place))
         except Exception:  # a mistake of ours ends neither the door nor the master
             LOGGER.exception("the query %s for %s failed", rest, place)
-            answers.append(_refusal(QueryRefusedError("a mistake in this bridge"), place))
+            answers.append(_refusal(RuntimeError("a mistake in this bridge"), place))
 
     async def _serve(self, query: zenoh.Query, place: FleetPlace, rest: list[str]) -> list[tuple[bytes, bytes | None]]:
         """Do what a query asks for; return the answers, each with what stands beside it."""
@@ -552,7 +564,7 @@ async def bind_fleet_door(
 def _object(node: Node, text: str) -> tuple[int, int]:
     """Return index and subindex of an object in a key."""
     if not keys.OBJECT.match(text):
-        raise QueryRefusedError(f"{text[:200]!r} is no object")
+        raise NoSuchPlaceError(f"{text[:200]!r} is no object")
     return find_object(node.dictionary, text)
 
 
@@ -599,6 +611,10 @@ def _refusal(error: Exception, place: FleetPlace | None = None) -> Answer:
     said: dict[str, object] = {"message": str(error).split("\n")[0], "place": "" if place is None else str(place)}
     if isinstance(error, GatewayError | MasterError):
         said |= {"code": error.code, "message": error.failed, "seen": error.seen}
+    elif isinstance(error, ObjectNotFoundError):
+        said["code"] = NO_SUCH_PLACE
+    elif isinstance(error, LocalProtocolError | ValueError):  # what was asked for is wrong, and nothing was sent
+        said["code"] = BRIDGE_REFUSED
     if isinstance(error, SdoError):
         said |= {"abort": error.abort_code, "not_confirmed": isinstance(error, SdoNotConfirmedError)}
     return None, _json(said), None

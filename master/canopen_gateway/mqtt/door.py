@@ -102,8 +102,9 @@ class MqttDoor:
         with trio.move_on_after(CLOSING, shield=True):
             await trio.to_thread.run_sync(self.link.close, self._online(False), abandon_on_cancel=True)
 
-    async def serve(self, service: GatewayService) -> None:
-        """Tell the broker until cancelled. Raises GatewayFullError; ValueError if two buses would have one name;
+    async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
+        """Tell the broker until cancelled. begun: called once nothing can be refused any more; the broker may still be away.
+        Raises GatewayFullError; ValueError if two buses would have one name;
         ObjectNotFoundError for an object to read that no dictionary at hand knows by this name."""
         self._names = {net: name_of_bus(net) for net in service.nets}
         if len(set(self._names.values())) < len(self._names):
@@ -118,6 +119,8 @@ class MqttDoor:
             try:
                 async with trio.open_nursery() as nursery:
                     self._begin(nursery)
+                    if begun is not None:
+                        begun()
             finally:
                 for watcher in watchers:
                     service.master.unwatch(watcher)

@@ -25,6 +25,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from canopen_gateway.errors import (
+    BRIDGE_REFUSED,
     GATEWAY_FULL,
     NO_SUCH_PLACE,
     NOT_ALLOWED,
@@ -84,7 +85,7 @@ _STATUS: Final[Sequence[tuple[type[Exception], int]]] = (
     (ValueError, 400),
     (GatewayError, 409),
 )
-_OF_BRIDGES: Final = {NOT_ALLOWED: 403, GATEWAY_FULL: 503, NO_SUCH_PLACE: 404}
+_OF_BRIDGES: Final = {BRIDGE_REFUSED: 400, NOT_ALLOWED: 403, GATEWAY_FULL: 503, NO_SUCH_PLACE: 404}
 """Statuses of what a bridge refuses, by its code; 409 for any other."""
 
 

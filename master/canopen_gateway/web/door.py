@@ -73,8 +73,11 @@ class WebDoor:
         scheme = "http" if certificate is None else "https"
         self.url = f"{scheme}://{self._names[0]}:{self.port}/?token={token}"
 
-    async def serve(self, service: GatewayService) -> None:
-        """Serve the page and its interface until cancelled. Returns early only if the door itself fails; see `failure`."""
+    async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
+        """Serve the page and its interface until cancelled. begun: called once the door serves. Returns early only if the door
+        itself fails; see `failure`."""
+        if begun is not None:
+            begun()  # clients that come from now on wait in the listeners
         with self._failing_alone(), service.open_session(NAME) as session:
             await self._serve_page(MachineSubject(service, session))
 

@@ -76,6 +76,12 @@ FULL: Final = WebRefusal(503, f"this door serves {MOST_AT_ONCE} requests at a ti
 TOO_LONG: Final = WebRefusal(413, f"a body has {MAX_BODY} bytes at most")
 TOO_SLOW: Final = WebRefusal(408, "the body did not come in time")
 CLOSE: Final = (b"connection", b"close")
+DUE: Final = {
+    401: (b"www-authenticate", b'Bearer realm="canopen"'),
+    405: (b"allow", b", ".join(map(str.encode, sorted(SAFE_METHODS)))),
+}
+"""The header that a status has to have: how to prove who one is (RFC 9110, 11.6.1; RFC 6750, 3), and what the page takes (RFC
+9110, 15.5.6)."""
 
 
 class WebGuard:
@@ -228,5 +234,6 @@ async def _answer(
 ) -> None:
     body = f"{text}\n".encode() if text else b""
     lengths = [(b"content-type", kind), (b"content-length", str(len(body)).encode())]
-    await send({"type": "http.response.start", "status": status, "headers": [*lengths, *more, *HEADERS]})
+    due = [DUE[status]] if status in DUE else []
+    await send({"type": "http.response.start", "status": status, "headers": [*lengths, *due, *more, *HEADERS]})
     await send({"type": "http.response.body", "body": body})

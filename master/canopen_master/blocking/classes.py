@@ -1393,6 +1393,7 @@ def simulated_devices(
     """Serve devices, by locator, while the block runs. keeper, say: as of `Host`. on_event: called with each event of the
     devices.
 
-    Raises BusError, TransportError, ScriptError; LocalProtocolError for what is no locator, or makes no device.
+    Raises BusError, TransportError, ScriptError; LocalProtocolError for what is no locator, or makes no device, and for two
+    devices of one bus that have one node-ID.
     """
     return open_context(BlockingSimulatedDevices, lambda: _simulated_devices(makers, on_event, keeper=keeper, say=say))

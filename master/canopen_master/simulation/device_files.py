@@ -100,14 +100,17 @@ def models_of(entries: Iterable[DeviceEntry], tell: Callable[[MakingEvent], obje
     """
     names, _ = load_dictionary()
     made: list[DeviceModel] = []
+    files: dict[int, str] = {}
     for entry in entries:
         code = load_device(entry.file) if entry.file.endswith(SUFFIX) else None
         description = _load(entry, names, tell) if code is None else _laid_over(entry, describe_device(code), tell)
         script = Script(read_text(Path(entry.script)), entry.script) if entry.script else None
         for node_id in _node_ids(entry, description):
+            other = files.setdefault(node_id, entry.file)
             if node_id != UNCONFIGURED and any(model.node_id == node_id for model in made):
                 raise DeviceRefusedError(
-                    f"there are two devices of node-ID {node_id}", tries=("give each its own: 5=a.eds 6=b.eds",)
+                    f"there are two devices of node-ID {node_id}: of {other} and of {entry.file}",
+                    tries=("give each its own: 5=a.eds 6=b.eds",),
                 )
             if node_id == UNCONFIGURED:
                 description = _with_own_serial(entry, description, len(made))

@@ -22,12 +22,13 @@ from canopen_master.participant.bus import Bus, BusChanged
 from canopen_master.participant.pump import Pump
 from canopen_master.simulation.hooks import Hooks, Script
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import OK, UNCONFIGURED
 from canopen_proto.lss.slave import STORAGE_FAILED, LssStoreRequested
-from canopen_proto.machine import SECOND, Event, Outbox, Time
+from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.server import ObjectAccessPending
@@ -89,6 +90,25 @@ def standard_drives(*node_ids: int, settings: DriveSettings | None = None) -> li
     return [partial(DriveNode, node_id=node_id, settings=settings or DriveSettings()) for node_id in node_ids]
 
 
+def _require_own_ids(nodes: Sequence[LocalNode], bus: str) -> None:
+    """Raise LocalProtocolError if two nodes have one node-ID: they would answer each request twice."""
+    by_id: dict[int, LocalNode] = {}
+    for node in nodes:
+        other = by_id.setdefault(node.node_id, node)
+        if other is not node and node.node_id != UNCONFIGURED:
+            raise LocalProtocolError(
+                f"{_name_of(other)} and {_name_of(node)} both have node-ID {node.node_id} on {bus}; give each its own. For a bus"
+                " with a double node-ID, which is a fault, serve the second device in a block, or a task, of its own"
+            )
+
+
+def _name_of(node: LocalNode) -> str:
+    """Return the name that a device has in its dictionary (0x1008), else what it is."""
+    variable = node.dictionary.get(indices.MANUFACTURER_DEVICE_NAME, 0)
+    name = None if variable is None else variable.initial_of(node.node_id)
+    return repr(name) if isinstance(name, str) and name else f"a {type(node).__name__}"
+
+
 async def simulate(
     transport: Transport,
     devices: Iterable[DeviceMaker],
@@ -99,7 +119,7 @@ async def simulate(
     """Serve devices on a transport until cancelled; then close it. They boot at once, in the order given.
 
     `nursery.start` returns the Host with its `nodes`, to look into or to break. on_event: called with each event of the devices;
-    it must not block. Raises BusError when the bus fails.
+    it must not block. Raises BusError when the bus fails; LocalProtocolError if two of them have one node-ID.
     """
     try:
         await Host(transport, devices, on_event).serve(task_status)
@@ -112,8 +132,8 @@ class Host:
     """Devices on one transport. Call `pump()` after each change made to one of them by hand (`node.raise_error(...)`).
 
     keeper: keeps what they store, by the node-ID with which they were made (255, 256 ... for those without one); by default in
-    memory. say: called with the messages and errors of scripts. Raises
-    ScriptError if a script cannot be run. on_event: called with each event of the devices.
+    memory. say: called with the messages and errors of scripts. on_event: called with each event of the devices. Raises
+    ScriptError if a script cannot be run; LocalProtocolError if two devices have one node-ID (255, none yet, may come twice).
     """
 
     def __init__(
@@ -136,6 +156,7 @@ class Host:
         self._ended = current_loop().event()
         made = [(make, make(network.out)) for make in devices]
         self.nodes = tuple(node for _, node in made)
+        _require_own_ids(self.nodes, self._bus.name)
         self._hooks = {
             node: Hooks(make.script, node, self, say)
             for make, node in made

@@ -176,7 +176,8 @@ async def simulated_devices(
     """Serve devices, by locator, while the block runs. keeper, say: as of `Host`. on_event: called with each event of the
     devices.
 
-    Raises BusError, TransportError, ScriptError; LocalProtocolError for what is no locator, or makes no device.
+    Raises BusError, TransportError, ScriptError; LocalProtocolError for what is no locator, or makes no device, and for two
+    devices of one bus that have one node-ID.
     """
     _check_makers(makers)
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 import importlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from numbers import Real
 from typing import Any, Final, NamedTuple
 
 from canopen_master.errors import PackageMissingError, PlanRefusedError, wrong_values
@@ -64,7 +65,7 @@ def scaled_joints(
     """
     if not limits:
         raise PlanRefusedError("a motion needs at least one joint", seen="no limits were given")
-    _check_part("margin", margin, 0.0 <= margin < 1.0, "from 0 to below 1")
+    _check_part("margin", margin, lambda part: 0.0 <= part < 1.0, "from 0 to below 1")
     check_share("speed_factor", speed_factor)
     for values, kind in zip(start, ("position", "velocity", "acceleration"), strict=True):
         check_values(values, len(limits), f"{kind} at the start")
@@ -137,14 +138,17 @@ def ruckig_refused(error: Exception, task: str) -> PlanRefusedError:
     )
 
 
-def check_share(name: str, share: float) -> None:
+def check_share(name: str, share: object) -> None:
     """Raise PlanRefusedError unless this is a share of the speed limits: above 0, at most 1. name: of the caller's parameter."""
-    _check_part(name, share, 0.0 < share <= 1.0, "above 0 and at most 1")
+    _check_part(name, share, lambda part: 0.0 < part <= 1.0, "above 0 and at most 1")
 
 
-def _check_part(name: str, value: float, is_valid: bool, needed: str) -> None:
-    if not is_valid:
-        raise PlanRefusedError(f"{name} must be {needed}", value=value, seen=repr(value))
+def _check_part(name: str, value: object, is_within: Callable[[float], bool], needed: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise PlanRefusedError(f"{name} must be a number {needed}", seen=repr(value))
+    number: Any = value  # a Real is compared as a float is, and may be too large for one
+    if not is_within(number):
+        raise PlanRefusedError(f"{name} must be {needed}", value=number, seen=repr(value))
 
 
 def _bound(joint: int, name: str, limit: float | None) -> float:
