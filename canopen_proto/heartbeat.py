@@ -49,6 +49,9 @@ from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 MIN_PERIOD: Final = MILLISECOND
 """The shortest heartbeat time: the unit of 0x1016 and 0x1017."""
 
+_NO_DATA: Final = bytes(9)
+"""The data of no frame: it has one byte too many."""
+
 
 class HeartbeatsSkipped(Event):
     """Our producer was woken so late that it left out heartbeats. skipped: how many, 1 or more."""
@@ -240,8 +243,8 @@ class HeartbeatConsumer(Machine):
     state: the node's NMT state in the last frame, PRE_OPERATIONAL after a boot-up frame (7.2.8.3.3); None before the first frame,
     and from HeartbeatLost to the next frame. last_heard: when the last frame came, on the driver's clock, or None. lost:
     HeartbeatLost was reported, and no heartbeat came since. timeout: ns; 0 = listen only. usual: the data of a heartbeat that
-    would change nothing of this but the time: the last one's, unless a boot-up or a loss came since; else None. told: what is
-    reported of such a one without a time stamp. All are read-only.
+    would change nothing of this but the time: the last one's, unless a boot-up or a loss came since; else what no frame has.
+    told: what is reported of such a one without a time stamp. All are read-only.
     """
 
     __slots__ = ("_begun", "last_heard", "lost", "node_id", "state", "timeout", "told", "usual")
@@ -254,7 +257,7 @@ class HeartbeatConsumer(Machine):
         self.state: NmtState | None = None
         self.last_heard: Time | None = None
         self.lost = False
-        self.usual: bytes | None = None
+        self.usual = _NO_DATA
         self.told = HeartbeatReceived(node_id, NmtState.INITIALISING, None)
         self._begun = False  # a heartbeat was heard: monitoring has begun
 
@@ -324,7 +327,7 @@ class HeartbeatConsumer(Machine):
 
     def _on_boot_up(self, now: Time) -> None:
         self.last_heard = now
-        self.usual = None
+        self.usual = _NO_DATA
         self.out.events.append(NodeBooted(self.node_id, self.out.timestamp))
         if self.timeout and self._begun and not self.lost:
             self._arm(now + self.timeout)
@@ -341,4 +344,4 @@ class HeartbeatConsumer(Machine):
         self.out.events.append(HeartbeatLost(self.node_id, self.state, last_heard, self.timeout))
         self.lost = True
         self.state = None
-        self.usual = None
+        self.usual = _NO_DATA

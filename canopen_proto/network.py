@@ -173,14 +173,13 @@ class Network:
                 each.receive(frame, now)
         root.quiet = False
         if events:  # a segment of a transfer reports nothing
-            if machine is not None:
+            if machine is not None and machine.out is not self.out:  # it is a member of a node, which reacts first
                 group = machine.out.reactions
-                if group:
-                    while mark < len(events):
-                        kind = type(events[mark])
-                        if kind in group:
-                            group[kind](events[mark], now)
-                        mark += 1
+                while mark < len(events):
+                    kind = type(events[mark])
+                    if kind in group:
+                        group[kind](events[mark], now)
+                    mark += 1
             settled, count, reactions = self._settled, len(events), self._reactions
             while settled < count:  # as `_settle` does, without a call
                 report = events[settled]
@@ -235,16 +234,17 @@ class Network:
                 elif key in routes:
                     for each in routes[key]:
                         each.receive(frame, now)
-                if self._settled < len(events):
+                settled, count = self._settled, len(events)
+                if settled < count:
                     root.quiet = False  # whoever is told of this may ask for what comes behind it
-                    if machine is not None and machine.out.reactions:
+                    if machine is not None and machine.out is not out:  # as in `receive`
                         group = machine.out.reactions
                         while mark < len(events):
                             kind = type(events[mark])
                             if kind in group:
                                 group[kind](events[mark], now)
                             mark += 1
-                    settled, count = self._settled, len(events)
+                        settled, count = self._settled, len(events)
                     while settled < count:  # as in `receive`: a call would cost as much as all of it
                         report = events[settled]
                         kind = type(report)
@@ -256,7 +256,8 @@ class Network:
                     self._settled = settled
                     if settled > MAX_UNDRAINED_EVENTS:
                         self._shed()
-                    mark = self._settled
+                        settled = self._settled
+                    mark = settled
                 if key < SLOTS:
                     times[key] = now
                     frames[key] = frame

@@ -419,7 +419,7 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "back_unnoticed",
             "heartbeat.py",
-            "        self.state = None\n        self.usual = None\n",
+            "        self.state = None\n        self.usual = _NO_DATA\n",
             "        self.state = None\n",
             "a node that was lost is never told as back",
             HEARTBEAT,
@@ -427,7 +427,7 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "old_state_known",
             "heartbeat.py",
-            "        self.last_heard = now\n        self.usual = None\n",
+            "        self.last_heard = now\n        self.usual = _NO_DATA\n",
             "        self.last_heard = now\n",
             "a state that is not known any more is told as one that never changed",
             HEARTBEAT,

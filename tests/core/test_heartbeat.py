@@ -348,7 +348,7 @@ def test_however_a_node_falls_silent_boots_and_comes_back_each_heartbeat_is_told
         now, heard = 0, []
         for byte, stamp, pause, forgets in script:
             if kind is not RemoteNode:
-                node.heartbeat.usual = None  # each frame goes the long way
+                node.heartbeat.usual = bytes(9)  # of no frame: each goes the long way
             network.receive(Frame(0x705, byte), now, stamp)
             heard.append(f"{network.drain(now)} {node.nmt_state} {node.heartbeat.state} {network.next_deadline()}")
             now += pause * MS
