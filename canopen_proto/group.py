@@ -14,16 +14,14 @@ Nothing is copied from layer to layer: a nested outbox shares its frames and eve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from heapq import heapify, heappop, heappush
 from types import TracebackType
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.frame import Frame, RoutingKey
-from canopen_proto.machine import NEVER, Event, LocalProtocolError, Machine, Outbox, Time
-
-Reaction: TypeAlias = Callable[[Any, Time], None]
+from canopen_proto.machine import NEVER, LocalProtocolError, Machine, Outbox, Time
 
 SPARE_WAKES: Final = 64
 """The heap is built again if it has more than this many entries over two for each member: its memory stays bounded."""
@@ -34,7 +32,8 @@ class Members:
 
     routes: by key, the machines that want its frames, in the order of their attachment. receivers: by key, what to hand these
     frames to, see `Machine.receiver_of`. lone: for the lowest keys, as a list, the one receiver; None if there are none or
-    several. heap: the wakes that are held, the nearest first.
+    several. In place of an `Entrance` it has the machine behind it: whoever hands that a frame lets its group settle. heap: the
+    wakes that are held, the nearest first.
     """
 
     __slots__ = ("_keys", "_out", "_sequence", "heap", "lone", "receivers", "routes")
@@ -106,7 +105,8 @@ class Members:
         else:
             del self.routes[key], self.receivers[key]
         if key < len(self.lone):
-            self.lone[key] = self.receivers[key][0] if len(machines) == 1 else None
+            receiver = self.receivers[key][0] if len(machines) == 1 else None
+            self.lone[key] = receiver.machine if type(receiver) is Entrance else receiver
 
     def refresh(self) -> None:
         """Apply what the members announced: changed CAN-IDs and nearer deadlines."""
@@ -189,7 +189,7 @@ class Group(Machine):
         super().__init__(out)
         self.inner = Outbox(within=out, owner=self)
         self._members = Members(self.inner)
-        self._reactions: dict[type[Event], Reaction] = {}
+        self._reactions = self.inner.reactions
 
     def can_ids(self) -> Iterable[RoutingKey]:
         self._members.refresh()
@@ -242,22 +242,25 @@ class Entrance(Machine):
     """Where a group that is a member takes in the frames of one key for one machine: `Group.receive` without its look-up.
 
     The members around it keep it in their routes, and ask for another one when the group's own routes change. A frame passes one
-    for each level, so what is saved here counts. A group may have entrances of its own for its commonest frames (`_entrance`).
+    for each level, so what is saved here counts: a Network does without it (`Members.lone`). A group may have entrances of its
+    own for its commonest frames (`_entrance`).
+
+    machine: the one that it hands the frames to. Read-only.
     """
 
-    __slots__ = ("_events", "_machine", "_reactions")
+    __slots__ = ("_events", "_reactions", "machine")
 
     def __init__(self, group: Group, machine: Machine) -> None:
         super().__init__(group.out)
         self._events = group.inner.events
         self._reactions = group._reactions
-        self._machine = machine
+        self.machine = machine
 
     def receive(self, frame: Frame, now: Time) -> None:
         """Hand the frame to the machine, then react to what it reported: `Group._settle`, written out to save the call."""
         events = self._events
         mark = len(events)
-        self._machine.receive(frame, now)
+        self.machine.receive(frame, now)
         while mark < len(events):
             reaction = self._reactions.get(type(events[mark]))
             if reaction is not None:

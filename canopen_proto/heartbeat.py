@@ -49,6 +49,9 @@ from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 MIN_PERIOD: Final = MILLISECOND
 """The shortest heartbeat time: the unit of 0x1016 and 0x1017."""
 
+_NO_DATA: Final = bytes(9)
+"""The data of no frame: it has one byte too many."""
+
 
 class HeartbeatsSkipped(Event):
     """Our producer was woken so late that it left out heartbeats. skipped: how many, 1 or more."""
@@ -239,10 +242,12 @@ class HeartbeatConsumer(Machine):
 
     state: the node's NMT state in the last frame, PRE_OPERATIONAL after a boot-up frame (7.2.8.3.3); None before the first frame,
     and from HeartbeatLost to the next frame. last_heard: when the last frame came, on the driver's clock, or None. lost:
-    HeartbeatLost was reported, and no heartbeat came since. timeout: ns; 0 = listen only. All are read-only.
+    HeartbeatLost was reported, and no heartbeat came since. timeout: ns; 0 = listen only. usual: the data of a heartbeat that
+    would change nothing of this but the time: the last one's, unless a boot-up or a loss came since; else what no frame has.
+    told: what is reported of such a one without a time stamp. All are read-only.
     """
 
-    __slots__ = ("_begun", "last_heard", "lost", "node_id", "state", "timeout")
+    __slots__ = ("_begun", "last_heard", "lost", "node_id", "state", "timeout", "told", "usual")
 
     def __init__(self, out: Outbox, node_id: int, timeout: Time = 0) -> None:
         """node_id: 1..127. timeout: as in `set_timeout`. Raises LocalProtocolError for other values."""
@@ -252,6 +257,8 @@ class HeartbeatConsumer(Machine):
         self.state: NmtState | None = None
         self.last_heard: Time | None = None
         self.lost = False
+        self.usual = _NO_DATA
+        self.told = HeartbeatReceived(node_id, NmtState.INITIALISING, None)
         self._begun = False  # a heartbeat was heard: monitoring has begun
 
     def can_ids(self) -> Iterable[RoutingKey]:
@@ -279,34 +286,48 @@ class HeartbeatConsumer(Machine):
         state is a new one. A frame that is not one byte long, or has no valid state, is FrameIgnored and no sign of life.
         CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.2.8.3.3
         """
-        data = frame.data
-        if len(data) != 1:
-            self.out.events.append(FrameIgnored(self.node_id, frame, f"a heartbeat has 1 byte, not {len(data)}"))
-            return
-        state = STATE_OF_BYTE[data[0]]
-        if state is None:
-            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT state"))
+        data, out = frame.data, self.out
+        if data == self.usual:
+            timestamp, told = out.root.timestamp, self.told  # without one the same is told again: an event never changes
+            out.events.append(told if timestamp is None else HeartbeatReceived(self.node_id, told.state, timestamp))
+        elif not self._receive_unusual(data, frame, now):
             return
         self.last_heard = now
-        out = self.out
-        if not state:
-            self._on_boot_up(now)
-            return
-        out.events.append(HeartbeatReceived(self.node_id, state, out.root.timestamp))
-        if self.lost:
-            self.lost = False
-            out.events.append(HeartbeatRecovered(self.node_id, state))
-        self._begun = True
         timeout = self.timeout
         if timeout:
             self.deadline = deadline = now + timeout
             if deadline < self._wake:  # rare: a deadline that moves later need not be announced
                 self._arm(deadline)
+
+    def _receive_unusual(self, data: bytes, frame: Frame, now: Time) -> bool:
+        """Take any frame but a heartbeat with the data in `usual`. Returns False if it is no heartbeat."""
+        events = self.out.events
+        if len(data) != 1:
+            events.append(FrameIgnored(self.node_id, frame, f"a heartbeat has 1 byte, not {len(data)}"))
+            return False
+        state = STATE_OF_BYTE[data[0]]
+        if state is None:
+            events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT state"))
+            return False
+        if not state:
+            self._on_boot_up(now)
+            return False
+        events.append(HeartbeatReceived(self.node_id, state, self.out.root.timestamp))
+        if self.lost:
+            self.lost = False
+            events.append(HeartbeatRecovered(self.node_id, state))
+        self._begun = True
         if state is not self.state:
-            out.events.append(NmtStateReported(self.node_id, self.state, state))
+            events.append(NmtStateReported(self.node_id, self.state, state))
             self.state = state
+        self.usual = data
+        if state is not self.told.state:
+            self.told = HeartbeatReceived(self.node_id, state, None)
+        return True
 
     def _on_boot_up(self, now: Time) -> None:
+        self.last_heard = now
+        self.usual = _NO_DATA
         self.out.events.append(NodeBooted(self.node_id, self.out.timestamp))
         if self.timeout and self._begun and not self.lost:
             self._arm(now + self.timeout)
@@ -323,3 +344,4 @@ class HeartbeatConsumer(Machine):
         self.out.events.append(HeartbeatLost(self.node_id, self.state, last_heard, self.timeout))
         self.lost = True
         self.state = None
+        self.usual = _NO_DATA

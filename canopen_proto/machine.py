@@ -26,7 +26,7 @@ and in `out.rerouted` when its `can_ids()` change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, Final, TypeAlias
 
 from canopen_proto.compiling import mypyc_attr
@@ -112,14 +112,19 @@ class FrameIgnored(Event):
         self.reason = reason
 
 
+Reaction: TypeAlias = Callable[[Any, Time], None]
+"""What a group does when one of its members has reported an event, at that time."""
+
+
 class Outbox:
     """Takes the frames and events of machines. All machines of a network share one, so that the order is kept.
 
     frames, events: oldest first. armed, rerouted: the machines whose deadline became earlier, and whose can_ids changed; each
-    machine is in each list at most once. root: the part that all nested outboxes share.
+    machine is in each list at most once. reactions: by kind of event, what the owner does when its members report it; empty
+    without an owner. root: the part that all nested outboxes share.
     """
 
-    __slots__ = ("armed", "events", "frames", "owner", "rerouted", "root")
+    __slots__ = ("armed", "events", "frames", "owner", "reactions", "rerouted", "root")
 
     def __init__(self, within: Outbox | None = None, owner: Machine | None = None) -> None:
         """Make an outbox; for a Group, one nested `within` another: the same frames and events, its own armed and rerouted.
@@ -129,6 +134,7 @@ class Outbox:
         self.armed: list[Machine] = []
         self.rerouted: list[Machine] = []
         self.owner = owner
+        self.reactions: dict[type[Event], Reaction] = {}
         self.root: OutboxRoot = OutboxRoot() if within is None else within.root
 
     @property

@@ -30,8 +30,19 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.follower import Follower
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey
 from canopen_proto.frame_bits import FRAME_BITS
-from canopen_proto.group import Members, Reaction
-from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.group import Members
+from canopen_proto.machine import (
+    NEVER,
+    Event,
+    FrameIgnored,
+    LocalProtocolError,
+    Machine,
+    Outbox,
+    Outcome,
+    Reaction,
+    RequestId,
+    Time,
+)
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommandSent, NmtState
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
@@ -144,13 +155,16 @@ class Network:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
         events, root, key = self._told, self._root, frame.key
-        if events and self._tasks and key > ERROR_CONTROL and frame.data in _BOOT_UPS:
-            self._before_boot(key, now)
+        mark = 0
+        if events:
+            if self._tasks and key > ERROR_CONTROL and frame.data in _BOOT_UPS:
+                self._before_boot(key, now)
+            mark = len(events)
         if self._rerouted:
             self._members.refresh()
         root.timestamp = timestamp  # also None: after a bug, that of the frame that caused it may stand there
         # Whoever is told of what was reported may ask for what comes behind it
-        root.quiet = self.quiet and not events and self._nobody_waits()
+        root.quiet = self.quiet and not mark and self._nobody_waits()
         machine = self._lone[key] if key < SLOTS else None
         if machine is not None:
             machine.receive(frame, now)
@@ -159,6 +173,13 @@ class Network:
                 each.receive(frame, now)
         root.quiet = False
         if events:  # a segment of a transfer reports nothing
+            if machine is not None and machine.out is not self.out:  # it is a member of a node, which reacts first
+                group = machine.out.reactions
+                while mark < len(events):
+                    kind = type(events[mark])
+                    if kind in group:
+                        group[kind](events[mark], now)
+                    mark += 1
             settled, count, reactions = self._settled, len(events), self._reactions
             while settled < count:  # as `_settle` does, without a call
                 report = events[settled]
@@ -192,7 +213,7 @@ class Network:
         out, lone, times, frames, reactions = self.out, self._lone, self._times, self._frames, self._reactions
         root, events, routes, costs = out.root, out.events, self._routes, FRAME_BITS
         root.quiet = self.quiet and not events and self._nobody_waits()
-        bits = 0
+        bits, mark = 0, len(events)
         try:
             for item in received:
                 if not isinstance(item, tuple):
@@ -202,6 +223,7 @@ class Network:
                 if events and self._tasks and key > ERROR_CONTROL and frame.data in _BOOT_UPS:
                     root.timestamp = None
                     self._before_boot(key, now)
+                    mark = len(events)
                 root.timestamp = item[1]
                 bits += costs[len(frame.data)]
                 if out.rerouted:
@@ -215,6 +237,14 @@ class Network:
                 settled, count = self._settled, len(events)
                 if settled < count:
                     root.quiet = False  # whoever is told of this may ask for what comes behind it
+                    if machine is not None and machine.out is not out:  # as in `receive`
+                        group = machine.out.reactions
+                        while mark < len(events):
+                            kind = type(events[mark])
+                            if kind in group:
+                                group[kind](events[mark], now)
+                            mark += 1
+                        settled, count = self._settled, len(events)
                     while settled < count:  # as in `receive`: a call would cost as much as all of it
                         report = events[settled]
                         kind = type(report)
@@ -226,6 +256,8 @@ class Network:
                     self._settled = settled
                     if settled > MAX_UNDRAINED_EVENTS:
                         self._shed()
+                        settled = self._settled
+                    mark = settled
                 if key < SLOTS:
                     times[key] = now
                     frames[key] = frame

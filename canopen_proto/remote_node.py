@@ -56,7 +56,7 @@ from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
 from canopen_proto.multiplexer import Mux, mux
-from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtState, target_of
+from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.multiplexed import MpdoListener, MpdoReceived, destination_frame, suits_mpdo
@@ -704,38 +704,29 @@ class _HeartbeatEntrance(Entrance):
     That is for the usual frame: the same byte as in the heartbeat before, and nothing was lost. All others go the long way.
     """
 
-    __slots__ = ("_consumer", "_last", "_node", "_root", "_usual")
+    __slots__ = ("_consumer", "_node", "_root")
 
     def __init__(self, node: RemoteNode, consumer: HeartbeatConsumer) -> None:
         super().__init__(node, consumer)
         self._consumer = consumer
         self._root = self.out.root
         self._node = node
-        self._usual = b""  # the last heartbeat's byte
-        self._last = HeartbeatReceived(consumer.node_id, NmtState.INITIALISING, None)  # what it told, without a time stamp
 
     def receive(self, frame: Frame, now: Time) -> None:
-        consumer, last = self._consumer, self._last
-        state = last.state
-        if frame.data != self._usual or consumer.state is not state or consumer.lost:
-            self._receive_other(frame, now)
+        consumer = self._consumer
+        if frame.data != consumer.usual:
+            super().receive(frame, now)
             return
         consumer.last_heard = now
-        root = self._root
+        root, told = self._root, consumer.told
         if not root.quiet:
-            timestamp = root.timestamp  # without one the same is told again: an event never changes
-            self._events.append(last if timestamp is None else HeartbeatReceived(consumer.node_id, state, timestamp))
+            timestamp = root.timestamp
+            self._events.append(told if timestamp is None else HeartbeatReceived(consumer.node_id, told.state, timestamp))
         timeout = consumer.timeout
         if timeout:
             consumer.deadline = deadline = now + timeout
             if deadline < consumer._wake:
                 consumer._arm(deadline)
         node = self._node
-        if state is not node.nmt_state:
-            node._enter_heard(state, now)
-
-    def _receive_other(self, frame: Frame, now: Time) -> None:
-        super().receive(frame, now)
-        data, state = frame.data, self._consumer.state
-        if state is not None and len(data) == 1 and STATE_OF_BYTE[data[0]] is state:
-            self._usual, self._last = data, HeartbeatReceived(self._consumer.node_id, state, None)
+        if told.state is not node.nmt_state:
+            node._enter_heard(told.state, now)

@@ -24,7 +24,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import Block, SdoAborted, SdoChunk, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
-from canopen_proto.sdo.codec import INITIATE, LEAST_REQUEST, complete
+from canopen_proto.sdo.codec import LEAST_REQUEST, complete, pack_initiate
 from canopen_proto.sdo.segmented_client import question_about
 from canopen_proto.sdo.server import SdoServer
 from tests.core.bus import Wire
@@ -83,7 +83,7 @@ class Firmware(SdoServer):
         data = complete(frame.data, LEAST_REQUEST)
         if data is not None and self.busy and data[0] >> 5 in (1, 2) and not (self._transfer and self._transfer.in_blocks):
             if self.is_loud:
-                self.send(INITIATE.pack(0x80, data[1] | data[2] << 8, data[3], AbortCode.INVALID_COMMAND))
+                self.send(pack_initiate(0x80, data[1] | data[2] << 8, data[3], AbortCode.INVALID_COMMAND))
             return
         super().receive(frame, now)
 

@@ -27,7 +27,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event
 from canopen_proto.sdo.access import Pending
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.client import AUTO_BLOCK, Block, SdoAborted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
-from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, BLOCK_UPLOAD, END, INITIATE, KIND, SEQUENCE
+from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, BLOCK_UPLOAD, END, KIND, SEQUENCE, pack_initiate, unpack_initiate
 from canopen_proto.sdo.server import SdoServer
 from tests.core.block_pair import BY_HOST, INDEX, LARGEST, BlockPair, Store, pattern
 from tests.core.bus import Bus, Fate
@@ -174,12 +174,12 @@ class WithoutBlocks(SdoServer):
     names_no_object = False
 
     def receive(self, frame: Frame, now: Time) -> None:
-        command, index, subindex, _ = INITIATE.unpack(frame.data.ljust(8, b"\0"))
+        command, index, subindex, _ = unpack_initiate(frame.data.ljust(8, b"\0"))
         if command < BLOCK_UPLOAD:
             super().receive(frame, now)
         else:
             mux = (0, 0) if self.names_no_object else (index, subindex)
-            self.send(INITIATE.pack(0x80, *mux, AbortCode.INVALID_COMMAND))
+            self.send(pack_initiate(0x80, *mux, AbortCode.INVALID_COMMAND))
 
 
 class Scene:

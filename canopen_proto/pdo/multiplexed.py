@@ -309,13 +309,18 @@ def _is_whole(receiver: MpdoConsumer | MpdoListener, number: int, key: RoutingKe
 
 
 class MpdoProducer(Machine):
-    """Sends a device's TPDOs that are MPDOs; see this module's text. enabled: the node is Operational (read-only)."""
+    """Sends a device's TPDOs that are MPDOs; see this module's text.
+
+    enabled: the node is Operational. has_source: changed objects are sent: there is a valid MPDO in source address mode, and the
+    node is Operational. Both are read-only.
+    """
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
         """node_id: our own, 1..127. values: the memory to read from."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.enabled = False
+        self.has_source = False
         self._values = values
         self._destinations: dict[int, RoutingKey] = {}  # TPDO number -> key, in destination address mode
         self._source: tuple[int, RoutingKey] | None = None  # TPDO number and key, in source address mode
@@ -326,11 +331,6 @@ class MpdoProducer(Machine):
         self._scanned: dict[Mux, Variable] = {}  # by mux, in the order of the scanner lists
         self._pending: dict[Mux, None] = {}  # objects that wait for the end of the inhibit time, in order
         self._next = 0  # the scanned object that the event timer sends next
-
-    @property
-    def has_source(self) -> bool:
-        """Whether changed objects are sent: there is a valid MPDO in source address mode, and the node is Operational."""
-        return self.enabled and self._source is not None
 
     def set_pdo(
         self, number: int, key: RoutingKey | None, mode: MpdoMode | None, now: Time, inhibit_time: Time = 0, event_time: Time = 0
@@ -419,6 +419,7 @@ class MpdoProducer(Machine):
         self._event_due = now + self._event_time if self._event_time else NEVER
 
     def _restart(self, now: Time) -> None:
+        self.has_source = self.enabled and self._source is not None
         self._pending.clear()
         self._inhibited_until = now
         self._event_due = now + self._event_time if self.has_source and self._event_time else NEVER

@@ -49,7 +49,16 @@ import struct
 from typing import Final
 
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.sdo.codec import BLOCK_SIZE_BIT, BLOCK_UPLOAD, CRC_BIT, END_RESPONSE, FINAL, INITIATE, LEAST_INITIATE, SEQUENCE
+from canopen_proto.sdo.codec import (
+    BLOCK_SIZE_BIT,
+    BLOCK_UPLOAD,
+    CRC_BIT,
+    END_RESPONSE,
+    FINAL,
+    LEAST_INITIATE,
+    SEQUENCE,
+    pack_initiate,
+)
 
 END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 MAX_BLOCK_SIZE: Final = 127
@@ -107,7 +116,7 @@ def sender_initiate(specifier: int, index: int, subindex: int, size: int | None,
     """Make the initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13
     specifier: 0xC0 for either. size: of the whole, bytes; None: not known. crc: this side has it."""
     command = specifier | (CRC_BIT if crc else 0) | (0 if size is None else BLOCK_SIZE_BIT)
-    return INITIATE.pack(command, index, subindex, size or 0)
+    return pack_initiate(command, index, subindex, size or 0)
 
 
 def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool) -> bytes:

@@ -130,12 +130,12 @@ class ChannelClient(SdoClient):
     def can_ids(self) -> tuple[RoutingKey, ...]:
         return super().can_ids() if self.is_open else ()
 
-    def _submit(self, transfer: Transfer, urgent: bool, now: Time) -> RequestId:
+    def _submit(self, transfer: Transfer, urgent: bool, now: Time, timeout: Time | None = None) -> RequestId:
         if self.channel is None:
             raise LocalProtocolError(f"{transfer}: 0x{self.index:04X} holds no channel: not both of its COB-IDs are valid")
         if not self._lives:
             raise LocalProtocolError(f"{transfer}: SDO does not live in the NMT state of this device")
-        return super()._submit(transfer, urgent, now)
+        return super()._submit(transfer, urgent, now, timeout)
 
     def send(self, payload: bytes) -> None:
         if self._lives:

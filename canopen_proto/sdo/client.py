@@ -69,7 +69,6 @@ from canopen_proto.sdo.block_client import NO_BLOCKS, BlockDownload, BlockUpload
 from canopen_proto.sdo.codec import (
     ABORT,
     EXPEDITED_BIT,
-    INITIATE,
     INITIATE_DOWNLOAD,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
@@ -80,6 +79,7 @@ from canopen_proto.sdo.codec import (
     SIZE,
     SPECIFIER,
     complete,
+    pack_initiate,
 )
 from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, is_own_refusal, is_value_for_other, spread
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
@@ -195,9 +195,9 @@ class SdoClient(ChannelEnd):
         Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
         """
         if not block or (block == "auto" and not self.serves_blocks):
-            return self._submit(_within(Upload(self, index, subindex, self.max_upload), timeout), urgent, now)
+            return self._submit(Upload(self, index, subindex, self.max_upload), urgent, now, timeout)
         plain = Upload(self, index, subindex, self.max_upload) if block == "auto" else None
-        return self._submit(_within(BlockUpload(self, index, subindex, False, self.max_upload, plain), timeout), urgent, now)
+        return self._submit(BlockUpload(self, index, subindex, False, self.max_upload, plain), urgent, now, timeout)
 
     def download(
         self,
@@ -220,10 +220,10 @@ class SdoClient(ChannelEnd):
         Source: CiA 301 v4.2.0, 7.2.4.3.2 and 7.2.4.3.8.
         """
         if not block or (block == "auto" and (not self.serves_blocks or len(data) <= AUTO_BLOCK)):
-            return self._submit(_within(Download(self, index, subindex, data), timeout), urgent, now)
+            return self._submit(Download(self, index, subindex, data), urgent, now, timeout)
         content = own(data, index, subindex)
         plain = Download(self, index, subindex, content) if block == "auto" else None
-        return self._submit(_within(BlockDownload(self, index, subindex, content, len(content), plain), timeout), urgent, now)
+        return self._submit(BlockDownload(self, index, subindex, content, len(content), plain), urgent, now, timeout)
 
     def upload_stream(self, index: int, subindex: int, now: Time, *, urgent: bool = False) -> RequestId:
         """Read an object piece by piece, by block transfer, whatever its size (`max_upload` is not looked at). urgent: goes
@@ -525,7 +525,7 @@ class SdoClient(ChannelEnd):
 
         The server has no blocks, or its answer is late. So the transfer is aborted on the wire, and a late answer does not count.
         """
-        self.send(INITIATE.pack(ABORT, transfer.index, transfer.subindex, AbortCode.TIMED_OUT))
+        self.send(pack_initiate(ABORT, transfer.index, transfer.subindex, AbortCode.TIMED_OUT))
         transfer.is_given_up = True
         self._end_by_abort(transfer, data, False)
 
@@ -571,7 +571,7 @@ class SdoClient(ChannelEnd):
             self._abandoned = transfer
         elif transfer.first[0] & (SPECIFIER | EXPEDITED_BIT) != INITIATE_DOWNLOAD | EXPEDITED_BIT:
             # before the server stores what both have sent
-            self.send(INITIATE.pack(ABORT, transfer.index, transfer.subindex, AbortCode.GENERAL_ERROR))
+            self.send(pack_initiate(ABORT, transfer.index, transfer.subindex, AbortCode.GENERAL_ERROR))
         elif transfer.is_urgent and self._abandoned is None:
             self._abandoned = transfer
         if transfer.state is INITIATED and not transfer.is_answered:
@@ -610,7 +610,7 @@ class SdoClient(ChannelEnd):
             abandoned, self._abandoned = self._abandoned, None
             # Behind an urgent write, only the next one of them ends a stranger's transfer
             if not abandoned.is_download or (queue.urgent and queue.urgent[0].is_download):
-                self.send(INITIATE.pack(ABORT, abandoned.index, abandoned.subindex, AbortCode.GENERAL_ERROR))
+                self.send(pack_initiate(ABORT, abandoned.index, abandoned.subindex, AbortCode.GENERAL_ERROR))
         if not queue.waits:
             self._contested_since = NEVER
         return False
@@ -646,13 +646,16 @@ class SdoClient(ChannelEnd):
             return transfer
         return self._queue.find(request_id)
 
-    def _submit(self, transfer: Transfer, urgent: bool, now: Time) -> RequestId:
+    def _submit(self, transfer: Transfer, urgent: bool, now: Time, timeout: Time | None = None) -> RequestId:
+        """Take a request. timeout: ns, in place of the client's."""
         queue = self._queue
         line = queue.urgent if urgent else queue.others
         if len(line) >= self.max_queue:
             raise LocalProtocolError(f"{transfer}, node {self.node_id}: {len(line)} requests are waiting already")
         transfer.request_id = request_id = self.out.next_request_id()
         transfer.is_urgent = urgent
+        if timeout is not None:
+            transfer.own_timeout = timeout
         if self._transfer is not None:
             line.append(transfer)
         elif line or queue.urgent or self.copy_guard or queue.overdue or self.other.last:
@@ -690,7 +693,7 @@ class SdoClient(ChannelEnd):
         self._transfer = transfer
         self._nameless_abort = b""
         self.out.frames.append(frame)
-        transfer.deadline = self.deadline = deadline = now + transfer.timeout
+        transfer.deadline = self.deadline = deadline = now + (transfer.own_timeout or self.timeout)
         if deadline < self._wake:
             self._arm(deadline)
         if self.other.count:
@@ -729,10 +732,3 @@ class SdoClient(ChannelEnd):
             self._after_contest(transfer, now)
         if queue.urgent or queue.others or self._abandoned is not None:
             self._begin_next(now)
-
-
-def _within(transfer: Transfer, timeout: Time | None) -> Transfer:
-    """Return the transfer, with a time-out of its own if there is one."""
-    if timeout is not None:
-        transfer.own_timeout = timeout
-    return transfer

@@ -32,12 +32,18 @@ from typing import Final
 
 from canopen_proto.multiplexer import Mux, mux, mux_text
 
-INITIATE: Final = struct.Struct("<BHBI")
-"""Command, index, subindex, and size or abort code (or nothing)."""
-EXPEDITED: Final = struct.Struct("<BHB4s")
-"""Command, index, subindex, up to four bytes of data; fewer are filled with zeros."""
-MULTIPLEXER: Final = struct.Struct("<xHB4x")
-"""Index and subindex alone."""
+_INITIATE: Final = struct.Struct("<BHBI")
+_EXPEDITED: Final = struct.Struct("<BHB4s")
+_MULTIPLEXER: Final = struct.Struct("<xHB4x")
+
+# Functions, since each frame goes through one: the attribute of an imported name takes as long as the work itself
+pack_initiate: Final = _INITIATE.pack
+"""Make a frame of command, index, subindex, and size or abort code (or nothing)."""
+unpack_initiate: Final = _INITIATE.unpack
+pack_expedited: Final = _EXPEDITED.pack
+"""Make a frame of command, index, subindex, up to four bytes of data; fewer are filled with zeros."""
+unpack_multiplexer: Final = _MULTIPLEXER.unpack
+"""Return the index and subindex that a frame names."""
 SIZE: Final = struct.Struct("<I")
 
 # Command bytes

@@ -34,7 +34,7 @@ class SegmentedTransfer(Transfer):
 class SegmentReceiver(SegmentedTransfer):
     """The side that gets the data: the client in an upload, the server in a download. Subclasses say what is done with them."""
 
-    __slots__ = ("_announced", "_buffer", "_frames", "_limit", "_piece_size", "_size")
+    __slots__ = ("_announced", "_buffer", "_frames", "_limit", "_piece_size", "_plain", "_size")
 
     # From `_start` on. `_take` empties the two buffers.
     _announced: int  # bytes that are still to come, or UNKNOWN_SIZE
@@ -43,6 +43,7 @@ class SegmentReceiver(SegmentedTransfer):
     _frames: bytearray  # full segments behind these, as whole frames: without a copy of each one's data
     _limit: int  # of _size
     _piece_size: int  # of _size, from which on they are handed over
+    _plain: int  # of _size: below, a full segment is simply one of many
 
     def _start(self, specifier: int, size: int, limit: int, piece_size: int, reply: Frame, now: Time) -> None:
         """Send `reply`, and wait for the first segment. size: as announced, or UNKNOWN_SIZE; then `limit` counts."""
@@ -52,6 +53,7 @@ class SegmentReceiver(SegmentedTransfer):
         self._announced = size
         self._limit = limit if size == UNKNOWN_SIZE else size
         self._piece_size = piece_size
+        self._plain = min(self._limit, piece_size)
         self.due = specifier
         self._go_on(reply, now)
 
@@ -66,19 +68,30 @@ class SegmentReceiver(SegmentedTransfer):
         if self.state is not SEGMENTS:
             return self._on_answer(command, data, now)
         due = self.due
-        if command & ~0x0F != due:
-            return False
-        end = self.end
-        reply = end.replies[due >> 4 & 1]
         if command == due:  # seven bytes, and others follow
+            size = self._size = self._size + 7
             frames = self._frames
             frames += data
-            size = self._size + 7
-        else:
+            if size < self._plain:
+                end = self.end
+                end.last = data
+                self.due = due ^ TOGGLE
+                end.out.frames.append(end.replies[due >> 4 & 1])
+                self.deadline = now + (self.own_timeout or end.timeout)
+                return True
+        elif command & ~0x0F == due:
             self._unpack()
             self._buffer += data[1 : 8 - (command >> 1 & 7)]
-            size = len(self._buffer)
-        self._size = size
+            self._size = len(self._buffer)
+        else:
+            return False
+        self._judge(command, data, now)
+        return True
+
+    def _judge(self, command: int, data: bytes, now: Time) -> None:
+        """Act on a segment that may be the last one, of all or of a piece, or one too many."""
+        end, due, size = self.end, self.due, self._size
+        reply = end.replies[due >> 4 & 1]
         if size > self._limit:
             self.abort(AbortCode.OUT_OF_MEMORY if self._announced == UNKNOWN_SIZE else AbortCode.LENGTH_TOO_HIGH)
         elif command & LAST:
@@ -97,7 +110,6 @@ class SegmentReceiver(SegmentedTransfer):
             else:
                 end.out.frames.append(reply)
                 self.deadline = now + (self.own_timeout or end.timeout)
-        return True
 
     def _unpack(self) -> None:
         """Move the data of the full segments into the buffer."""

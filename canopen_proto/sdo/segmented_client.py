@@ -18,11 +18,9 @@ from canopen_proto.sdo.block import MAX_SIZE
 from canopen_proto.sdo.codec import (
     ABORT,
     DOWNLOAD_SEGMENT_RESPONSE,
-    EXPEDITED,
     EXPEDITED_BIT,
     EXPEDITED_BITS,
     HEADS,
-    INITIATE,
     INITIATE_DOWNLOAD,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
@@ -33,6 +31,8 @@ from canopen_proto.sdo.codec import (
     SPECIFIER,
     TOGGLE,
     UPLOAD_SEGMENT_RESPONSE,
+    pack_expedited,
+    pack_initiate,
     segment,
 )
 from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
@@ -51,7 +51,7 @@ class Upload(SegmentReceiver):
     def __init__(self, end: ChannelEnd, index: int, subindex: int, most: int) -> None:
         """index 0..0xFFFF, subindex 0..0xFF; else LocalProtocolError. most: bytes that are accepted."""
         try:
-            first = INITIATE.pack(INITIATE_UPLOAD, index, subindex, 0)
+            first = pack_initiate(INITIATE_UPLOAD, index, subindex, 0)
         except struct.error:
             raise impossible("upload", index, subindex) from None
         Transfer.__init__(self, end, index, subindex, first)
@@ -87,7 +87,7 @@ class Upload(SegmentReceiver):
 
 def question_about(index: int) -> bytes:
     """Return the initiate frame of a question about an object: it reads its sub 0."""
-    return INITIATE.pack(INITIATE_UPLOAD, index, 0, 0)
+    return pack_initiate(INITIATE_UPLOAD, index, 0, 0)
 
 
 class Question(Transfer):
@@ -113,7 +113,7 @@ class Question(Transfer):
         self.is_answered = True
         self.state = OVER
         if not command & EXPEDITED_BIT:
-            end.send(INITIATE.pack(ABORT, self.index, 0, AbortCode.GENERAL_ERROR))  # of the segments that the server is ready for
+            end.send(pack_initiate(ABORT, self.index, 0, AbortCode.GENERAL_ERROR))  # of the segments that the server is ready for
         return True
 
 
@@ -129,9 +129,9 @@ class Download(SegmentedTransfer):
         size = len(content)
         try:
             if 0 < size <= MAX_EXPEDITED:
-                first = EXPEDITED.pack(INITIATE_DOWNLOAD | EXPEDITED_BITS[size], index, subindex, content)
+                first = pack_expedited(INITIATE_DOWNLOAD | EXPEDITED_BITS[size], index, subindex, content)
             else:
-                first = INITIATE.pack(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size)
+                first = pack_initiate(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size)
         except struct.error:
             raise impossible("download", index, subindex) from None
         Transfer.__init__(self, end, index, subindex, first)  # `super()` would take as long as half of it

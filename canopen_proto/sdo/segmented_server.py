@@ -22,16 +22,16 @@ from canopen_proto.sdo.block_server import ServerBlockUpload
 from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT,
-    EXPEDITED,
     EXPEDITED_BITS,
     HEADS,
-    INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD_RESPONSE,
     MAX_EXPEDITED,
     SIZE_BIT,
     TOGGLE,
     UPLOAD_SEGMENT,
+    pack_expedited,
+    pack_initiate,
     segment,
 )
 from canopen_proto.sdo.host import Door
@@ -51,7 +51,7 @@ def answer_upload(
     if first[0] >= BLOCK_UPLOAD and (more or not 0 < first[5] >= size):
         return ServerBlockUpload(end, index, subindex, first, door, content, more, now)
     if 0 < size <= MAX_EXPEDITED and not more:
-        payload = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
+        payload = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
         end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
         return None
     return ServerUpload(end, index, subindex, first, door, content, more, now)
@@ -92,7 +92,7 @@ class ServerUpload(SegmentedTransfer):
         self._offset = 0  # what has been sent
         size = door.size if more else len(content)
         command = INITIATE_UPLOAD_RESPONSE if size is None else INITIATE_UPLOAD_RESPONSE | SIZE_BIT
-        end.send(INITIATE.pack(command, index, subindex, size or 0))
+        end.send(pack_initiate(command, index, subindex, size or 0))
         self.due = UPLOAD_SEGMENT
         self.state = SEGMENTS
         self.deadline = now + end.timeout
@@ -102,23 +102,21 @@ class ServerUpload(SegmentedTransfer):
         if command & ~0x0F != due or self.state is not SEGMENTS:
             return False
         end, content, offset = self.end, self._content, self._offset
-        if self._more and len(content) <= offset + 7:  # the segment may be the last one, or not
+        behind = offset + 7
+        if behind < len(content):
+            end.last = data
+            end.out.frames.append(Frame(end.can_id, HEADS[due & TOGGLE] + content[offset:behind], end.flags, 8))
+            self._offset = behind
+            self.due = due ^ TOGGLE
+            self.deadline = now + end.timeout
+        elif self._more:  # the segment may be the last one, or not
             end.last = data
             self.state = HELD
             self._door.ask(self)
             self.deadline = now + end.stream_timeout
-            return True
-        size = len(content)
-        behind = offset + 7
-        payload = HEADS[due & TOGGLE] + content[offset:behind] if behind < size else segment(due & TOGGLE, content, offset)
-        end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
-        self._offset = behind
-        if behind >= size:
-            self.state = OVER
         else:
-            end.last = data
-            self.due = due ^ TOGGLE
-            self.deadline = now + end.timeout
+            end.send(segment(due & TOGGLE, content, offset))
+            self.state = OVER
         return True
 
     def feed(self, piece: Buffer, last: bool, now: Time) -> None:
@@ -143,7 +141,7 @@ class ServerDownload(SegmentReceiver):
         """Answers the initiate request, which the store has agreed to. size: as announced. most: bytes of what is held whole."""
         super().__init__(end, index, subindex, first)
         self._door = door
-        answer = Frame(end.can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), end.flags, 8)
+        answer = Frame(end.can_id, pack_initiate(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), end.flags, 8)
         announced = UNKNOWN_SIZE if size is None else size
         limit, piece_size = (MAX_SIZE, SUB_BLOCK_SIZE) if door.takes_pieces else (most, MAX_SIZE)
         self._start(DOWNLOAD_SEGMENT, announced, limit, piece_size, answer, now)
@@ -154,6 +152,7 @@ class ServerDownload(SegmentReceiver):
     def _hand_over(self, piece: bytes, reply: Frame, now: Time) -> None:
         size = len(piece)
         self._limit -= size
+        self._plain = min(self._limit, self._piece_size)
         if self._announced != UNKNOWN_SIZE:
             self._announced -= size
         self._door.hand_over(self, piece, self._door.handed, more=True)

@@ -44,22 +44,29 @@ from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_next, next_number
 from canopen_proto.sdo.block_server import ServerBlockDownload
 from canopen_proto.sdo.codec import (
+    ABORT,
+    BLOCK_DOWNLOAD,
     BLOCK_SIZE_BIT,
     BLOCK_UPLOAD,
-    EXPEDITED,
+    DOWNLOAD_SEGMENT,
     EXPEDITED_BIT,
     EXPEDITED_BITS,
-    INITIATE,
+    INITIATE_DOWNLOAD,
     INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
     LEAST_REQUEST,
     MAX_EXPEDITED,
-    MULTIPLEXER,
     SIZE,
     SIZE_BIT,
     SPECIFIER,
+    UPLOAD_SEGMENT,
     complete,
     is_initiate,
+    pack_expedited,
+    pack_initiate,
+    unpack_initiate,
+    unpack_multiplexer,
 )
 from canopen_proto.sdo.events import ObjectAccessPending, ObjectWritten, SdoServerAborted
 from canopen_proto.sdo.host import Door
@@ -234,7 +241,19 @@ class SdoServer(ChannelEnd):
             if deadline < self._wake:
                 self._arm(deadline)
             return
-        _HANDLERS[command >> 5](self, command, data, frame, now)
+        specifier = command & SPECIFIER
+        if specifier == INITIATE_UPLOAD:
+            self._on_initiate_upload(command, data, frame, now)
+        elif specifier == INITIATE_DOWNLOAD:
+            self._on_initiate_download(command, data, frame, now)
+        elif specifier in (DOWNLOAD_SEGMENT, UPLOAD_SEGMENT):
+            self._on_other_segment(command, data, frame, now)
+        elif specifier in (BLOCK_UPLOAD, BLOCK_DOWNLOAD):
+            self._on_block(command, data, frame, now)
+        elif specifier == ABORT:
+            self._on_abort(data)
+        else:
+            self._on_unknown(command, data, frame, now)
 
     def handle_timeout(self, now: Time) -> None:
         transfer = self._transfer
@@ -248,7 +267,7 @@ class SdoServer(ChannelEnd):
         """CiA 301 v4.2.0, 7.2.4.3.6; and of a block upload: 7.2.4.3.13"""
         if self._transfer is not None and not self._make_way(data, frame):
             return
-        index, subindex = MULTIPLEXER.unpack(data)
+        index, subindex = unpack_multiplexer(data)
         self.last = data
         if command >= BLOCK_UPLOAD and not 1 <= data[4] <= MAX_BLOCK_SIZE:
             Transfer(self, index, subindex, data).abort(AbortCode.INVALID_BLOCK_SIZE)
@@ -257,7 +276,7 @@ class SdoServer(ChannelEnd):
         if isinstance(content, bytes):
             size = len(content)
             if 0 < size <= MAX_EXPEDITED and command < BLOCK_UPLOAD:  # what is read most: `answer_upload` without its call
-                payload = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
+                payload = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
                 self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
                 return
             transfer = answer_upload(self, index, subindex, data, self._door, content, False, now)
@@ -272,16 +291,17 @@ class SdoServer(ChannelEnd):
         """CiA 301 v4.2.0, 7.2.4.3.3; and of a block download: 7.2.4.3.9"""
         if self._transfer is not None and not self._make_way(data, frame):
             return
-        _, index, subindex, announced = INITIATE.unpack(data)
+        _, index, subindex, announced = unpack_initiate(data)
         self.last = data
         is_block = command >= BLOCK_UPLOAD
         if command & EXPEDITED_BIT and not is_block:
             unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
             content = data[4 : 8 - unused]
+            name = data[1:4]
+            if name != self.confirmed:  # else the confirmation is the one of the write before, of the same object
+                payload = pack_initiate(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
+                self.confirmed, self.confirmation = name, Frame(self.can_id, payload, self.flags, 8)
             answer = self.confirmation
-            if answer.data[1:4] != data[1:4]:  # else it is the one of the write before, of the same object
-                payload = INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
-                answer = self.confirmation = Frame(self.can_id, payload, self.flags, 8)
             result = self._door.store.write(index, subindex, content, now)
             if result is None:
                 self.out.events.append(ObjectWritten(self.node_id, index, subindex))
@@ -326,7 +346,7 @@ class SdoServer(ChannelEnd):
         else:
             self._on_unknown(command, data, frame, now)
 
-    def _on_abort(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
+    def _on_abort(self, data: bytes) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.17. Without a transfer there is nothing to do: the client saw its end later than we did."""
         if self._transfer is not None:
             self.report_abort(self._transfer, SIZE.unpack_from(data, 4)[0], AbortOrigin.PEER, False)
@@ -343,7 +363,7 @@ class SdoServer(ChannelEnd):
                 self._on_unknown(command, data, frame, now)
         elif not self.serves_blocks:
             if self._transfer is None or self._make_way(data, frame):
-                index, subindex = MULTIPLEXER.unpack(data)
+                index, subindex = unpack_multiplexer(data)
                 Transfer(self, index, subindex, data).abort(AbortCode.INVALID_COMMAND)
         elif command & SPECIFIER == BLOCK_UPLOAD:
             self._on_initiate_upload(command, data, frame, now)
@@ -388,16 +408,3 @@ class SdoServer(ChannelEnd):
         self._transfer = None
         self._door.close()
         self.deadline = NEVER
-
-
-_HANDLERS: Final = (
-    SdoServer._on_other_segment,  # download segment
-    SdoServer._on_initiate_download,
-    SdoServer._on_initiate_upload,
-    SdoServer._on_other_segment,  # upload segment
-    SdoServer._on_abort,
-    SdoServer._on_block,  # upload
-    SdoServer._on_block,  # download
-    SdoServer._on_unknown,
-)
-"""By client command specifier."""

@@ -40,12 +40,13 @@ from canopen_proto.sdo.codec import (
     ABORT,
     BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT_RESPONSE,
-    INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
+    NO_MULTIPLEXER,
     SPECIFIER,
     TOGGLE,
     UPLOAD_SEGMENT,
+    pack_initiate,
 )
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -81,13 +82,13 @@ class ChannelEnd(Machine):
 
     channel: client to server, server to client; None if there is none. last: the last frame that was accepted from the other
     side; empty once its second copy was seen. replies: by the toggle of a segment that came, 0 or 1, what is sent for it: the
-    request of the next one, or the acknowledgement. confirmation: of a server, what was sent for the last expedited write. All
-    five are read-only outside.
+    request of the next one, or the acknowledgement. confirmation: of a server, what was sent for the last expedited write;
+    confirmed: the three bytes of it that name the object. All are read-only outside.
     """
 
     __slots__ = (
-        "_hears", "_is_server", "block_size", "burst_interval", "can_id", "channel", "confirmation", "copy_guard", "crc", "flags",
-        "last", "max_burst", "node_id", "replies", "stream_timeout", "timeout",
+        "_hears", "_is_server", "block_size", "burst_interval", "can_id", "channel", "confirmation", "confirmed",
+        "copy_guard", "crc", "flags", "last", "max_burst", "node_id", "replies", "stream_timeout", "timeout",
     )  # fmt: skip
 
     def __init__(
@@ -133,7 +134,8 @@ class ChannelEnd(Machine):
         reply = DOWNLOAD_SEGMENT_RESPONSE if self._is_server else UPLOAD_SEGMENT | TOGGLE
         payloads = (bytes((reply ^ toggle,)).ljust(8, b"\x00") for toggle in (0, TOGGLE))
         self.replies: tuple[Frame, ...] = tuple(Frame(can_id, payload, flags) for payload in payloads)
-        self.confirmation = Frame(can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, 0, 0, 0), flags)
+        self.confirmed = NO_MULTIPLEXER
+        self.confirmation = Frame(can_id, pack_initiate(INITIATE_DOWNLOAD_RESPONSE, 0, 0, 0), flags)
 
 
 class Transfer:
@@ -212,7 +214,7 @@ class Transfer:
         """End the transfer by an abort frame. CiA 301 v4.2.0, 7.2.4.3.17 abort_code: 32 bits. origin: which side ended it, as it
         is reported."""
         end = self.end
-        end.send(INITIATE.pack(ABORT, self.index, self.subindex, abort_code))
+        end.send(pack_initiate(ABORT, self.index, self.subindex, abort_code))
         self.is_given_up = True
         end.report_abort(self, abort_code, origin, self.is_all_sent)
         self.state = OVER

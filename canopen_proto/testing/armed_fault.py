@@ -11,15 +11,15 @@ from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.sdo.codec import (
     ABORT,
-    EXPEDITED,
     EXPEDITED_BITS,
-    INITIATE,
     INITIATE_UPLOAD_RESPONSE,
     MAX_EXPEDITED,
     REQUESTS,
     SdoFrame,
     is_initiate,
     mux_in,
+    pack_expedited,
+    pack_initiate,
 )
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import (
@@ -156,14 +156,14 @@ class ArmedFault:
         fault = self.fault
         index, subindex = split_mux(mux_in(request.data))
         if isinstance(fault, Refuse):
-            data = INITIATE.pack(ABORT, index, subindex, fault.code)
+            data = pack_initiate(ABORT, index, subindex, fault.code)
         else:
             assert isinstance(fault, Lie)
             if REQUESTS[request.data[0]] is SdoFrame.BLOCK_UPLOAD:
-                data = INITIATE.pack(ABORT, index, subindex, AbortCode.INVALID_COMMAND)  # then it is asked without blocks
+                data = pack_initiate(ABORT, index, subindex, AbortCode.INVALID_COMMAND)  # then it is asked without blocks
             else:
                 value = self._told(fault, names)
-                data = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[len(value)], index, subindex, value)
+                data = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[len(value)], index, subindex, value)
         return Frame(request.can_id - SDO_CLIENT_TO_SERVER + SDO_SERVER_TO_CLIENT, data)
 
 

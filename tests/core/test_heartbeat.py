@@ -166,6 +166,25 @@ def test_heartbeat_right_behind_a_boot_up_loses_neither() -> None:
     assert consumer.deadline == 500 * MS
 
 
+def test_the_same_heartbeat_as_before_a_boot_up_reports_the_state_anew() -> None:
+    consumer = HeartbeatConsumer(Outbox(), 5, 500 * MS)
+    for text in ("705#05", "705#00"):
+        hear(consumer, text, 0)
+    told = [HeartbeatReceived(5, OPERATIONAL, None), NmtStateReported(5, PRE_OPERATIONAL, OPERATIONAL)]
+    assert hear(consumer, "705#05", 1) == told
+    assert consumer.state is OPERATIONAL
+
+
+@pytest.mark.parametrize("text", ["705#", "705#0505", "705#01"])
+def test_a_frame_that_is_no_heartbeat_changes_nothing_before_the_first_one_or_behind_it(text: str) -> None:
+    consumer = HeartbeatConsumer(Outbox(), 5, 500 * MS)
+    for _ in range(2):
+        (ignored,) = hear(consumer, text, 10 * MS)
+        assert isinstance(ignored, FrameIgnored)
+        hear(consumer, "705#05", 0)
+        assert (consumer.state, consumer.last_heard, consumer.deadline) == (OPERATIONAL, 0, 500 * MS)
+
+
 def test_toggle_bit_of_a_guarding_answer_is_masked() -> None:
     consumer = HeartbeatConsumer(Outbox(), 5)
     hear(consumer, "705#05", 0)
@@ -328,6 +347,8 @@ def test_however_a_node_falls_silent_boots_and_comes_back_each_heartbeat_is_told
         network.attach(node)
         now, heard = 0, []
         for byte, stamp, pause, forgets in script:
+            if kind is not RemoteNode:
+                node.heartbeat.usual = bytes(9)  # of no frame: each goes the long way
             network.receive(Frame(0x705, byte), now, stamp)
             heard.append(f"{network.drain(now)} {node.nmt_state} {node.heartbeat.state} {network.next_deadline()}")
             now += pause * MS

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Machine, Time
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, silence_limit
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded
-from canopen_proto.sdo.codec import EXPEDITED, SEQUENCE
+from canopen_proto.sdo.codec import SEQUENCE, pack_expedited
 from canopen_proto.sdo.server import ObjectAccessPending
 from tests.core.block_pair import BY_HOST, INDEX, BlockPair, pattern
 from tests.core.bus import Bus, Fate
@@ -99,7 +99,7 @@ def test_the_default_inside_a_block_is_a_second_at_least_and_follows_the_time_ou
 # ---- the rest of the sender's queue, when the transfer is over ----
 
 OTHER = 0x1017
-SPELLS = b"".join(EXPEDITED.pack(0, OTHER, 0, number.to_bytes(4, "little"))[1:] for number in range(600))
+SPELLS = b"".join(pack_expedited(0, OTHER, 0, number.to_bytes(4, "little"))[1:] for number in range(600))
 """Content of which each segment names another object, as an expedited download does."""
 
 

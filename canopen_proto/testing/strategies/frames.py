@@ -18,9 +18,7 @@ from canopen_proto.nmt import NmtCommand, NmtState, Service
 from canopen_proto.sdo.codec import (
     ABORT,
     DOWNLOAD_SEGMENT_RESPONSE,
-    EXPEDITED,
     EXPEDITED_BITS,
-    INITIATE,
     INITIATE_DOWNLOAD,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
@@ -28,6 +26,8 @@ from canopen_proto.sdo.codec import (
     SIZE_BIT,
     TOGGLE,
     UPLOAD_SEGMENT,
+    pack_expedited,
+    pack_initiate,
     segment,
 )
 from canopen_proto.testing.strategies.identifiers import node_ids
@@ -105,12 +105,12 @@ def _time(milliseconds: int) -> Frame:
 
 def _of_object(command: int, numbers: SearchStrategy[int] | None = None) -> SearchStrategy[bytes]:
     """A frame that names an object, with a number: the size of a segmented transfer, an abort code, or 0."""
-    return st.builds(INITIATE.pack, st.just(command), _INDICES, st.integers(0, 0xFF), st.just(0) if numbers is None else numbers)
+    return st.builds(pack_initiate, st.just(command), _INDICES, st.integers(0, 0xFF), st.just(0) if numbers is None else numbers)
 
 
 def _expedited(command: int) -> SearchStrategy[bytes]:
     return st.builds(
-        lambda index, subindex, data: EXPEDITED.pack(command | EXPEDITED_BITS[len(data)], index, subindex, data),
+        lambda index, subindex, data: pack_expedited(command | EXPEDITED_BITS[len(data)], index, subindex, data),
         _INDICES,
         st.integers(0, 0xFF),
         st.binary(min_size=1, max_size=4),
