@@ -127,7 +127,7 @@ def test_a_device_that_waits_for_an_nmt_command_and_answers_again() -> None:
     [
         ({0x17: "1701"}, "not stored (the device says: storing not supported): the device loses it without power"),
         ({0x17: "1702"}, "not stored (the device says: access to the storage failed)"),
-        ({0x17: None}, "not stored (no answer)"),
+        ({0x17: None}, "perhaps not stored (no answer)"),
         ({0x11: "1101"}, "was not confirmed (the device says: node-ID out of range)"),
         ({0x11: "11FF09"}, "the maker's own error 9"),
         ({0x11: None}, "no answer: the device may have it all the same"),

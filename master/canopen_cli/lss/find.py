@@ -10,13 +10,13 @@ from canopen_cli.lss.support import (
     TargetKind,
     Unsigned32,
     address_text,
+    device_of,
     estimate,
     knowing,
     limited,
     node_id_text,
     open_lss,
     progress,
-    selected,
     windowed,
 )
 from canopen_cli.shared.options import Settings, common
@@ -25,7 +25,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import identity_json
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
-from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Survey, all_waiting, search, survey
+from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Survey, search, survey
 from canopen_proto.machine import Time
 
 COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
@@ -129,9 +129,7 @@ def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
 
     async def ask() -> tuple[LssAddress, int]:
         async with open_lss(settings, screen, window) as lss:
-            result = await selected(lss, device)
-            await lss.run(all_waiting(lss.tool))
-            return result
+            return await device_of(lss, device)
 
     address, node_id = run(settings, screen, ask)
     if settings.json:
