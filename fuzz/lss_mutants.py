@@ -79,8 +79,8 @@ LSS_MUTANTS: Final = tuple(
         (
             "second_device_is_one",
             _ASSIGN,
-            "        if reply.count > 1:\n            raise LssNotSelectedError",
-            "        if False:\n            raise LssNotSelectedError",
+            "        if unanswered < 0:  # one device",
+            "        if False:  # one device",
             "two devices with one address get one node-ID",
             ASSIGN,
         ),
@@ -95,9 +95,17 @@ LSS_MUTANTS: Final = tuple(
         (
             "two_confirm_one_node_id",
             _ASSIGN,
-            "if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:",
-            "if reply.count > 2 and service is LssService.CONFIGURE_NODE_ID:",
+            "        if unanswered < 0 and service is LssService.CONFIGURE_NODE_ID:",
+            "        if unanswered < -1 and service is LssService.CONFIGURE_NODE_ID:",
             "two devices take one node-ID, and nobody says so",
+            ASSIGN,
+        ),
+        (
+            "late_answer_is_a_second_device",
+            _ASSIGN,
+            "        unanswered += 1 - reply.count\n        if unanswered < 0 and",
+            "        if reply.count > 1 and",
+            "a user is sent to look for a second device, which is not there",
             ASSIGN,
         ),
         (

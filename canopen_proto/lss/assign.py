@@ -353,17 +353,20 @@ def _found_device(tool: LssTool, pace: Pace, address: LssAddress | None) -> Proc
 def own_node_id(tool: LssTool, pace: Pace) -> Procedure[int]:
     """Return the node-ID of the selected device, or UNCONFIGURED. Raises LssNotSelectedError unless one device answers. pace: how
     long questions wait."""
+    unanswered = 0
     for _ in range(CONFIRMATIONS):
         reply = yield from ask(tool, lambda now: tool.master.inquire(LssService.INQUIRE_NODE_ID, now, window=pace.window))
-        if reply.count > 1:
+        unanswered += 1 - reply.count
+        if unanswered < 0:  # one device gives one answer to each question, however late
             raise LssNotSelectedError("two devices with this address answer: set another serial number, or connect one at a time")
-        if reply.count:
+        if reply.count == 1:
             return reply.answers[0][1]
     raise LssNotSelectedError("it does not say which node-ID it has")
 
 
 def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> Procedure[str]:
     """Write the node-ID, or store it; return "" if the one device has confirmed it, else why not."""
+    unanswered = 0
     for _ in range(CONFIRMATIONS):
         if service is LssService.STORE:
             reply = yield from ask(tool, lambda now: tool.master.store(now, guard=pace.after_answer))
@@ -372,9 +375,10 @@ def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> 
         errors = {error_text(service, answer[1], answer[2]) for answer in reply.answers if answer[1] != OK}
         if errors:
             return f"{REFUSED}: {', '.join(sorted(errors))}"
-        if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:
+        unanswered += 1 - reply.count
+        if unanswered < 0 and service is LssService.CONFIGURE_NODE_ID:  # as in `own_node_id`
             return "two devices answered"
-        if reply.count:
+        if reply.count == 1 or (reply.count and service is LssService.STORE):
             return ""
     return "no answer: the device may have it all the same" if service is LssService.CONFIGURE_NODE_ID else "no answer"
 
