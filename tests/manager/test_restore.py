@@ -384,3 +384,35 @@ def test_whatever_resets_a_device_in_the_middle_never_is_it_called_restored(writ
     assert f"ended after {write} of {len(SETTINGS)} writes" in str(outcome.error)
     assert 0x1010 not in [index for index, _, _ in bench.device.writes]
     assert bench.device.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_device_that_was_reset_since_its_values_were_read_is_not_called_restored() -> None:
+    """The plan has only what differed then. The reset has undone the rest."""
+    bench = Bench()
+    kept, rest = {LIMITED << 8: 17}, {GAIN << 8: -2.25}
+    bench.restore(kept)
+    plan = bench.plan({**kept, **rest})
+    bench.device.execute(NmtCommand.RESET_NODE, bench.bus.now)
+    bench.bus.run(MILLISECOND)
+    bench.clear()
+    bench.start(restore(bench.remote, bench.nmt, plan))
+    outcome = bench.outcome()
+    assert isinstance(outcome, ProcedureFailed)
+    assert "nothing was written to node 5: it has booted since its values were read" in str(outcome.error)
+    assert (bench.device.writes, nmt_commands(bench)) == ([], [])
+
+
+@pytest.mark.parametrize(("command", "heartbeat_ms"), [("000#8005", 0), ("000#8005", 200), ("000#0105", 200)])
+def test_a_device_that_is_reset_while_its_state_is_awaited_is_not_called_restored(command: str, heartbeat_ms: int) -> None:
+    bench = Bench(device(heartbeat_ms))
+    kept, rest = {LIMITED << 8: 17}, {GAIN << 8: -2.25}
+    bench.restore(kept)
+    plan = bench.plan({**kept, **rest})
+    bench.clear()
+    bench.start(restore(bench.remote, bench.nmt, plan))
+    bench.bus.run_until(lambda: command in nmt_commands(bench))
+    bench.device.execute(NmtCommand.RESET_NODE, bench.bus.now)
+    outcome = bench.outcome()
+    assert isinstance(outcome, ProcedureFailed)
+    assert "it has booted since its values were read" in str(outcome.error)
+    assert bench.device.state is NmtState.PRE_OPERATIONAL
