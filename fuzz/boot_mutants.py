@@ -13,6 +13,7 @@ ALL: Final = ("tests/manager/test_boot_network.py", "tests/manager/test_boot_mom
 WORDS: Final = ("tests/cli/test_boot_summary.py",)
 NET: Final = ("tests/cli/test_net.py",)
 ANY_FAULT: Final = ("tests/manager/test_boot_twenty.py",)
+SEEN: Final = ("tests/manager/test_boot_seen_running.py",)
 
 _NODE: Final = "manager/boot/node_boot.py"
 _NETWORK: Final = "manager/boot/network_boot.py"
@@ -181,7 +182,7 @@ BOOT_MUTANTS: Final = tuple(
         (
             "crossing",
             _NETWORK,
-            "        if now - member.started_at < NMT_REACTION_TIME:",
+            "        if member.node.booted_at - member.started_at < NMT_REACTION_TIME:",
             "        if False:",
             "a start command that passes a boot-up leaves a node running without its settings",
             ALL,
@@ -282,6 +283,55 @@ BOOT_MUTANTS: Final = tuple(
             "        pass  # guarding",
             "a node that is reset since it was lost is lost once more",
             ALL,
+        ),
+        # ---- who runs ----
+        (
+            "told_to_run_is_running",
+            _MEMBER,
+            "return self.is_running and self.node.nmt_state is not NmtState.OPERATIONAL",
+            "return False",
+            "a node that shows that it does not run is told to run",
+            (*SEEN, *WORDS),
+        ),
+        (
+            "lost_start_command",
+            _NETWORK,
+            "            if tries == START_TRIES or not (yield from self._start_again(member)):\n",
+            "            if True:\n",
+            "one lost frame, and a node never runs",
+            SEEN,
+        ),
+        (
+            "start_all_unseen",
+            _NETWORK,
+            "            yield from all_of(*(self._see_all_running(member) for member in self._listed))\n",
+            "            yield from ()\n",
+            "nodes that are started by the command to all are told to run before they show it",
+            SEEN,
+        ),
+        (
+            "later_start_unseen",
+            _NETWORK,
+            "            elif member.is_unseen:\n",
+            "            elif False:\n",
+            "a node that comes later, and misses its start, never runs",
+            SEEN,
+        ),
+        (
+            "passed_boot_up_seen_late",
+            _NETWORK,
+            "        if member.node.booted_at - member.started_at < NMT_REACTION_TIME:\n",
+            "        if now - member.started_at < NMT_REACTION_TIME:\n",
+            "a node that was started as it booted is configured while it runs, if others are awaited",
+            ALL,
+        ),
+        (
+            "loss_waits_for_slow_heartbeats",
+            _NETWORK,
+            " or (one_by_one and each.is_unseen)\n",
+            "\n",
+            "the loss that stops all nodes waits for the heartbeat of another one",
+            SEEN,
         ),
         (
             "absent_pdo_has_a_can_id",
