@@ -302,6 +302,14 @@ BOOT_MUTANTS: Final = tuple(
             SEEN,
         ),
         (
+            "lost_reset_runs_on",
+            _NODE,
+            "        if self.unconfirmed is not None and self.node.boots == self.first_boots:\n",
+            "        if False:\n",
+            "a node that has not got its reset is configured while it runs, with what was left in it",
+            SEEN,
+        ),
+        (
             "start_all_unseen",
             _NETWORK,
             "            yield from all_of(*(self._see_all_running(member) for member in self._listed))\n",

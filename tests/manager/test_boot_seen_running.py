@@ -111,8 +111,13 @@ FATES = (*[Fate.DELIVERED] * 6, Fate.LOST, Fate.COPIED)
 def test_whatever_gets_lost_and_whoever_boots_the_nodes_that_are_told_to_run_do(
     fates: list[Fate], skipped: int, startup: int, reset_at: int | None
 ) -> None:
-    """A node may boot at any frame. Five seconds after the last lost frame each node does what the report says."""
+    """A node may boot at any frame. Soon after the last lost frame each node does what the report says, with its settings, and
+    none was written while it ran."""
     bench = BootBench((6, 7))
+    written_in: list[int] = []
+    for node in bench.nodes.values():
+        node.state = OPERATIONAL
+        node.on_write = lambda place, data, node=node: written_in.append(node.state)  # type: ignore[misc]
     boot = bench.network_boot(startup)
     bench.bus._fates = iter([*[Fate.DELIVERED] * skipped, *fates])
     request_id = bench.master.run(boot.start(), bench.bus.now)
@@ -125,6 +130,36 @@ def test_whatever_gets_lost_and_whoever_boots_the_nodes_that_are_told_to_run_do(
     bench.bus._fates = iter(())
     bench.bus.run(15 * SECOND)
     report = boot.report(bench.bus.now)
+    assert OPERATIONAL not in written_in
     assert set(report.running) == {node_id for node_id, node in bench.nodes.items() if node.state == OPERATIONAL}
     for node_id in report.running:
         assert bench.nodes[node_id].table[0x2002, 0] == b"\x34\x12", "it runs without its settings"
+
+
+@pytest.mark.parametrize("heartbeat", [bytes(2), b"\x64\0"])
+@pytest.mark.parametrize("assignment", [MANDATORY, OPTIONAL])
+def test_a_reset_that_gets_lost_is_sent_again_before_the_node_is_configured(assignment: int, heartbeat: bytes) -> None:
+    """Else it is configured while it runs, with what somebody else has left in it."""
+    bench = BootBench((6, 7))
+    bench.node.table[0x1017, 0] = heartbeat
+    bench.node.boot(bench.bus.now)
+    bench.node.state = OPERATIONAL
+    bench.bus.run(SECOND)
+    bench.bus.sent.clear()
+    written_in: list[int] = []
+    bench.node.on_write = lambda place, data: written_in.append(bench.node.state)
+    boot = bench.network_boot(1, entry(6, assignment), entry(7, MANDATORY))
+    lose(bench, "000#8200", 1)
+    report = bench.run(boot.start())
+    assert set(written_in) == {PRE_OPERATIONAL}
+    assert [str(outcome.letter) for outcome in report.outcomes.values()] == ["0", "0"]
+    assert bench.commands_sent()[:3] == ["000#8200", "000#8206", "000#8207"]
+
+
+def test_a_node_that_never_sends_a_boot_up_is_booted_all_the_same() -> None:
+    bench = BootBench()
+    boot_up = Frame(0x706, b"\0")
+    deliver = bench.bus._deliver
+    bench.bus._deliver = lambda receiver, frame: None if frame == boot_up else deliver(receiver, frame)  # type: ignore[method-assign]
+    report = bench.run(bench.network_boot().start())
+    assert (report.running, str(report.outcomes[6].letter)) == ((6,), "0")

@@ -21,6 +21,7 @@ class BootingNode:
     it last got its full time again, after an outage of the bus. unheard: how long the bus has worked without a sign of its life,
     summed over the stretches between outages. beats: when its heartbeats came, while they are not watched yet.
     sends_none_until: so long its word counts that it sends none. is_unseen: it was started, and has not yet shown that it runs.
+    was_reset: it was told to reset, and has not been booted since.
     reset: how it is reset when it is heard again. is_missed: it was lost, and has not booted since.
     """
 
@@ -42,6 +43,7 @@ class BootingNode:
         self.is_suspended = False
         self.is_missed = False
         self.is_unseen = False
+        self.was_reset = False
 
     def take_start(self, now: Time) -> None:
         """Take note of a start command."""
@@ -61,6 +63,11 @@ class BootingNode:
     def is_supervised(self) -> bool:
         """Whether its loss would be noticed: its heartbeats are watched, or it is guarded."""
         return bool(self.node.heartbeat.timeout or self.node.guarding.guard_time)
+
+    @property
+    def unconfirmed(self) -> NmtCommand | None:
+        """The reset that it was told, if no boot-up has come since."""
+        return self.reset if self.was_reset and self.node.boots == self.boots else None
 
     @property
     def is_idle(self) -> bool:

@@ -314,6 +314,7 @@ class NetworkBoot:
         member = self._members.get(node_id)
         if member is not None:
             member.boots, member.outcome, member.is_running = member.node.boots, None, False
+            member.was_reset = not member.entry.assignment.keep_alive
         return True
 
     def _boot_all(self) -> Procedure[BootReport]:
@@ -367,6 +368,7 @@ class NetworkBoot:
         if member.is_suspended:
             return
         member.is_booting, member.is_running, member.is_requested, member.outcome = True, False, False, None
+        unconfirmed, member.was_reset = member.unconfirmed, False
         try:
             outcome = yield from boot_node(
                 member.node,
@@ -376,6 +378,7 @@ class NetworkBoot:
                 until=until,
                 update=self._update,
                 configure=self._configure,
+                unconfirmed=unconfirmed,
             )
         finally:
             member.is_booting = False
