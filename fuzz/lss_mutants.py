@@ -95,7 +95,7 @@ LSS_MUTANTS: Final = tuple(
         (
             "two_confirm_one_node_id",
             _ASSIGN,
-            '            return "two devices answered"\n        if reply.count == 1',
+            '            return "two answers came, of two devices or of one twice"\n        if reply.count == 1',
             "            pass\n        if reply.count",
             "two devices take one node-ID, and nobody says so",
             ASSIGN,

@@ -358,7 +358,10 @@ def own_node_id(tool: LssTool, pace: Pace) -> Procedure[int]:
         reply = yield from ask(tool, lambda now: tool.master.inquire(LssService.INQUIRE_NODE_ID, now, window=pace.window))
         unanswered += 1 - reply.count
         if unanswered < 0:  # one device gives one answer to each question, however late
-            raise LssNotSelectedError("two devices with this address answer: set another serial number, or connect one at a time")
+            raise LssNotSelectedError(
+                "two answers came: of two devices with this address (set another serial number, or connect one at a time), or of "
+                "one, twice (then the same again)"
+            )
         if reply.count == 1:
             return reply.answers[0][1]
     raise LssNotSelectedError("it does not say which node-ID it has")
@@ -377,7 +380,7 @@ def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> 
             return f"{REFUSED}: {', '.join(sorted(errors))}"
         unanswered += 1 - reply.count
         if unanswered < 0 and service is LssService.CONFIGURE_NODE_ID:  # as in `own_node_id`
-            return "two devices answered"
+            return "two answers came, of two devices or of one twice"
         if reply.count == 1 or (reply.count and service is LssService.STORE):
             return ""
     return "no answer: the device may have it all the same" if service is LssService.CONFIGURE_NODE_ID else "no answer"
@@ -402,7 +405,7 @@ def _start(tool: LssTool, address: LssAddress, node_id: int, present: int) -> Pr
             yield from act(lambda now: tool.reset(present, now))
         count = yield from _boot_ups(tool, node_id)
         if count > 1:
-            return False, f"two devices booted with the node-ID {node_id}: disconnect one"
+            return False, f"two boot-ups came with the node-ID {node_id}, of two devices (disconnect one) or of one twice"
         if count or node_id in (yield from nodes_there(tool, [node_id], listen=0)):
             return True, ""
     return False, (
