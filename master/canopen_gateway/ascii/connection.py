@@ -348,7 +348,11 @@ class AsciiConnection:
         if node_id == 0 or 127 < node_id < UNCONFIGURED:
             raise _out_of_range(node_id, f"1 to 127, or {UNCONFIGURED}")
         settings = self._lss(request, selected=True)
-        _check_lss(await settings.command("lss_set_node", lambda lss, now: lss.configure_node_id(node_id, now)))
+        reply = await settings.command("lss_set_node", lambda lss, now: lss.configure_node_id(node_id, now))
+        _check_lss(reply)
+        if reply.count > 1 and node_id != UNCONFIGURED:
+            text = f"{reply.count} devices have taken it, for their next reset: lss_switch_sel selects one"
+            raise _Refusal(GatewayCode.INTERNAL_STATE, text)
 
     async def lss_configure_bit_rate(self, request: GatewayRequest) -> None:
         table, index = request.numbers
