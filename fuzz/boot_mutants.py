@@ -13,6 +13,7 @@ ALL: Final = ("tests/manager/test_boot_network.py", "tests/manager/test_boot_mom
 WORDS: Final = ("tests/cli/test_boot_summary.py",)
 NET: Final = ("tests/cli/test_net.py",)
 ANY_FAULT: Final = ("tests/manager/test_boot_twenty.py",)
+CLAIMS: Final = ("tests/cli/test_claims.py",)
 SEEN: Final = ("tests/manager/test_boot_seen_running.py",)
 
 _NODE: Final = "manager/boot/node_boot.py"
@@ -283,6 +284,23 @@ BOOT_MUTANTS: Final = tuple(
             "        pass  # guarding",
             "a node that is reset since it was lost is lost once more",
             ALL,
+        ),
+        # ---- other programs ----
+        (
+            "boot_resets_who_gets_a_program",
+            "canopen_cli/net/boot.py",
+            "        if not settings.dry_run:\n            for network",
+            "        if False:\n            for network",
+            "a device that gets a program is reset in the middle, by our own other command",
+            CLAIMS,
+        ),
+        (
+            "flash_under_a_watch",
+            "canopen_cli/node/flash.py",
+            "        session.claim_state(wanted.node_id),\n",
+            "",
+            "a program is written into a device that `net watch` resets when it stops",
+            CLAIMS,
         ),
         # ---- who runs ----
         (
