@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_cli.node.restore_output import story
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import COB_ID_INVALID, Frame
@@ -141,6 +142,33 @@ def test_the_device_stores_at_the_end() -> None:
     assert bench.device.state is NmtState.OPERATIONAL
     again = bench.restore(values, store=True)
     assert (again.plan.writes, again.stored) == ((), True)
+
+
+@pytest.mark.parametrize("is_cancelled", [True, False])
+def test_a_store_without_an_answer_may_have_been_executed_and_the_story_says_so(is_cancelled: bool) -> None:
+    bench = Bench()
+    bench.host_stores = False
+    plan = bench.plan({LIMITED << 8: 12})
+    so_far = Restoration(plan)
+    request_id = bench.start(restore(bench.remote, bench.nmt, plan, so_far, store=True))
+    bench.bus.run_until(lambda: (0x1010, 1) in [write[:2] for write in bench.device.writes])
+    if is_cancelled:
+        bench.master.cancel(request_id, bench.bus.now)
+    else:
+        bench.bus.detach(bench.network)
+    bench.outcome()
+    assert (so_far.stored, so_far.store_in_doubt, so_far.is_done) == (False, True, False)
+    assert "all of it is written, and perhaps stored" in story([so_far])
+
+
+def test_a_store_that_is_refused_is_in_no_doubt() -> None:
+    bench = Bench()
+    plan = bench.plan({LIMITED << 8: 12})
+    so_far = Restoration(plan)
+    bench.device.refuse = lambda count: AbortCode.DEVICE_STATE if count == 2 else None
+    bench.start(restore(bench.remote, bench.nmt, plan, so_far, store=True))
+    assert isinstance(bench.outcome(), ProcedureFailed)
+    assert (so_far.stored, so_far.store_in_doubt) == (False, False)
 
 
 def test_a_store_may_take_its_time_and_not_all_of_it() -> None:

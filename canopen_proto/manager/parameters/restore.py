@@ -130,7 +130,7 @@ class Restoration:
 
     written: the number of writes that were confirmed. in_doubt: the write that got no answer and may have been executed, or None.
     state_before: the node's NMT state at the start, None if it was not known. state: the state that was commanded last (None:
-    none yet). stored: whether "save" was confirmed. is_done: all went well.
+    none yet). stored: whether "save" was confirmed. store_in_doubt: it was not, but may have been executed. is_done: all is well.
     """
 
     plan: RestorePlan
@@ -139,6 +139,7 @@ class Restoration:
     state_before: NmtState | None = None
     state: NmtState | None = None
     stored: bool = False
+    store_in_doubt: bool = False
     is_done: bool = False
 
     @property
@@ -383,6 +384,12 @@ def _store(node: RemoteNode, so_far: Restoration) -> Procedure[None]:
     standing, node.sdo.timeout = node.sdo.timeout, max(node.sdo.timeout, STORE_TIMEOUT)
     try:
         yield from download(node.sdo, STORE, 1, SIGNATURES[STORE].to_bytes(4, "little"))
+    except Cancelled:
+        so_far.store_in_doubt = True
+        raise
+    except SdoTransferError as failed:
+        so_far.store_in_doubt = failed.not_confirmed
+        raise
     finally:
         node.sdo.timeout = standing
     so_far.stored = True
