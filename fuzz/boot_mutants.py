@@ -302,6 +302,14 @@ BOOT_MUTANTS: Final = tuple(
             "a program is written into a device that `net watch` resets when it stops",
             CLAIMS,
         ),
+        (
+            "unread_is_another",
+            "manager/boot/outcome.py",
+            "        return unread or self.letter.meaning\n",
+            "        return self.letter.meaning\n",
+            "a node that fell silent is called one of another maker",
+            ONE,
+        ),
         # ---- who runs ----
         (
             "told_to_run_is_running",

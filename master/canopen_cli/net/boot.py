@@ -273,7 +273,7 @@ def _as_json(outcome: BootOutcome) -> dict[str, Any]:
     return {
         "node": outcome.node_id,
         "letter": outcome.letter.value,
-        "meaning": outcome.letter.meaning,
+        "meaning": outcome.meaning,
         "failed": outcome.is_failure,
         "step": outcome.step.value,
         "index": None if outcome.object is None else outcome.object[0],
@@ -301,7 +301,7 @@ def _show(settings: Settings, screen: Screen, booted: Booted) -> None:
                 }
             )  # fmt: skip
             style = "" if row.state.is_good else "[red]"
-            result = "" if outcome is None else f"{style}{escape(outcome.letter.meaning)}{'[/]' if style else ''}"
+            result = "" if outcome is None else f"{style}{escape(outcome.meaning)}{'[/]' if style else ''}"
             code, seconds = ("", "") if outcome is None else (str(outcome.letter), f"{outcome.elapsed / SECOND:.3f}")
             cells = (escape(row.bus), str(row.node_id), escape(name), result, code, seconds, escape(row.state))
             shown.append(dict(zip(COLUMNS, cells, strict=True)))
