@@ -165,6 +165,14 @@ LSS_MUTANTS: Final = tuple(
             COMMANDS,
         ),
         (
+            "lost_bus_after_the_switch_is_silent",
+            _RATE_COMMAND,
+            "        lost.add_note(change.story)\n",
+            "",
+            "our interface cannot have the new bit rate, and the user is not told that all devices have it",
+            COMMANDS,
+        ),
+        (
             "interrupted_switch_is_silent",
             _RATE_COMMAND,
             '        change.story = f"the devices may be at',

@@ -16,6 +16,8 @@ from canopen_proto.lss.slave import LssSlave
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.servo import DriveSettings
+from canopen_transports import TransportError
+from canopen_transports.errors import BUS_LOST
 from tests.builds import replaces_what_is_compiled
 from tests.cli.cli_support import Alarm, Run, only_drive
 
@@ -133,3 +135,19 @@ def test_devices_that_missed_the_switch_are_left_with_no_bit_rate_that_a_later_s
     assert (outcome.status, "1 device missing at 250 kbit/s: back to 500" in outcome.err) == (ExitCode.PARTIAL, True), outcome.err
     assert "back at 500 kbit/s, all are there" in outcome.err
     assert {node.lss.pending.bit_rate for node in simulations[-1].drives.values()} == {500}
+
+
+def test_a_bus_that_cannot_be_opened_at_the_new_bit_rate_hides_not_that_the_devices_have_it(
+    run: Run, simulations: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(*arguments: object) -> object:
+        if len(simulations) == AFTER_THE_SWITCH - 1:
+            raise TransportError(BUS_LOST, "demo", "the adapter does not know 250 kbit/s")
+        return open_lss(*arguments)
+
+    open_lss = rate.open_lss
+    monkeypatch.setattr(rate, "open_lss", opened)
+    outcome = run(*RATE, "--delay", "100ms")
+    assert "the adapter does not know 250 kbit/s" in outcome.err
+    assert "the devices were switched to 250 kbit/s" in outcome.err
+    assert "nothing was stored: power off and on brings 500 kbit/s back" in outcome.err

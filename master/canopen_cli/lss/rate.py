@@ -22,6 +22,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.time_left import time_left
 from canopen_cli.shared.values import identity_json
+from canopen_master.errors import BusError
 from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.lss.assign import found_device
@@ -30,6 +31,7 @@ from canopen_proto.lss.messages import BIT_RATES, LssAddress
 from canopen_proto.lss.scan import Survey, survey
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.manager.scan import LISTEN, NodeFound, duration_of, scan
+from canopen_transports import TransportError
 from canopen_transports.locator import bitrate_text, parse_bitrate, parse_locator
 
 WITHOUT_RATE: Final = ("virtual", "tcp", "udp_multicast")
@@ -129,7 +131,11 @@ def set_bitrate(
         await _switch(settings, screen, change, addresses, window)
         return await _check(settings, screen, change, addresses, window)
 
-    failed = run(settings, screen, carry_out, story=lambda confirmed: [change.story])
+    try:
+        failed = run(settings, screen, carry_out, story=lambda confirmed: [change.story])
+    except (BusError, TransportError) as lost:
+        lost.add_note(change.story)
+        raise
     _tell_json(settings, screen, change, addresses, failed)
     if failed:
         seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in failed)
