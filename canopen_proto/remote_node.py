@@ -87,6 +87,7 @@ class RemoteNode(Group):
         "_sync_listeners",
         "_wanted",
         "_writes",
+        "booted_at",
         "boots",
         "commanded",
         "dictionary",
@@ -128,6 +129,7 @@ class RemoteNode(Group):
         self.heard_at: dict[Mux, Time] = {}
         self.nmt_state: NmtState | None = None
         self.boots = 0  # how often its boot-up was heard
+        self.booted_at: Time = -NEVER  # when it was heard last
         self.last_sync: Time | None = None
         self._commanded_at: Time = -NEVER
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
@@ -534,6 +536,7 @@ class RemoteNode(Group):
 
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
         self.boots += 1
+        self.booted_at = now
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()

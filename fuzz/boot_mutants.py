@@ -13,6 +13,8 @@ ALL: Final = ("tests/manager/test_boot_network.py", "tests/manager/test_boot_mom
 WORDS: Final = ("tests/cli/test_boot_summary.py",)
 NET: Final = ("tests/cli/test_net.py",)
 ANY_FAULT: Final = ("tests/manager/test_boot_twenty.py",)
+CLAIMS: Final = ("tests/cli/test_claims.py",)
+SEEN: Final = ("tests/manager/test_boot_seen_running.py",)
 
 _NODE: Final = "manager/boot/node_boot.py"
 _NETWORK: Final = "manager/boot/network_boot.py"
@@ -181,7 +183,7 @@ BOOT_MUTANTS: Final = tuple(
         (
             "crossing",
             _NETWORK,
-            "        if now - member.started_at < NMT_REACTION_TIME:",
+            "        if member.node.booted_at - member.started_at < NMT_REACTION_TIME:",
             "        if False:",
             "a start command that passes a boot-up leaves a node running without its settings",
             ALL,
@@ -282,6 +284,88 @@ BOOT_MUTANTS: Final = tuple(
             "        pass  # guarding",
             "a node that is reset since it was lost is lost once more",
             ALL,
+        ),
+        # ---- other programs ----
+        (
+            "boot_resets_who_gets_a_program",
+            "canopen_cli/net/boot.py",
+            "        if not settings.dry_run:\n            for network",
+            "        if False:\n            for network",
+            "a device that gets a program is reset in the middle, by our own other command",
+            CLAIMS,
+        ),
+        (
+            "flash_under_a_watch",
+            "canopen_cli/node/flash.py",
+            "        session.claim_state(wanted.node_id),\n",
+            "",
+            "a program is written into a device that `net watch` resets when it stops",
+            CLAIMS,
+        ),
+        (
+            "unread_is_another",
+            "manager/boot/outcome.py",
+            "        return unread or self.letter.meaning\n",
+            "        return self.letter.meaning\n",
+            "a node that fell silent is called one of another maker",
+            ONE,
+        ),
+        # ---- who runs ----
+        (
+            "told_to_run_is_running",
+            _MEMBER,
+            "return self.is_running and self.node.nmt_state is not NmtState.OPERATIONAL",
+            "return False",
+            "a node that shows that it does not run is told to run",
+            (*SEEN, *WORDS),
+        ),
+        (
+            "lost_start_command",
+            _NETWORK,
+            "            if tries == START_TRIES or not (yield from self._start_again(member)):\n",
+            "            if True:\n",
+            "one lost frame, and a node never runs",
+            SEEN,
+        ),
+        (
+            "lost_reset_runs_on",
+            _NODE,
+            "        if self.unconfirmed is not None and self.node.boots == self.first_boots:\n",
+            "        if False:\n",
+            "a node that has not got its reset is configured while it runs, with what was left in it",
+            SEEN,
+        ),
+        (
+            "start_all_unseen",
+            _NETWORK,
+            "            yield from all_of(*(self._see_all_running(member) for member in self._listed))\n",
+            "            yield from ()\n",
+            "nodes that are started by the command to all are told to run before they show it",
+            SEEN,
+        ),
+        (
+            "later_start_unseen",
+            _NETWORK,
+            "            elif member.is_unseen:\n",
+            "            elif False:\n",
+            "a node that comes later, and misses its start, never runs",
+            SEEN,
+        ),
+        (
+            "passed_boot_up_seen_late",
+            _NETWORK,
+            "        if member.node.booted_at - member.started_at < NMT_REACTION_TIME:\n",
+            "        if now - member.started_at < NMT_REACTION_TIME:\n",
+            "a node that was started as it booted is configured while it runs, if others are awaited",
+            ALL,
+        ),
+        (
+            "loss_waits_for_slow_heartbeats",
+            _NETWORK,
+            " or (one_by_one and each.is_unseen)\n",
+            "\n",
+            "the loss that stops all nodes waits for the heartbeat of another one",
+            SEEN,
         ),
         (
             "absent_pdo_has_a_can_id",

@@ -39,9 +39,37 @@ _FLEET: Final = "canopen_gateway/fleet"
 _SUBJECT: Final = "canopen_gateway/web/fleet_subject.py"
 _PICTURE: Final = "canopen_gateway/web/fleet_picture.py"
 
+LSS: Final = ("tests/gateway/test_ascii_lss.py",)
+
+_LSS: Final = "canopen_gateway/layer_settings.py"
+
 GATEWAY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "two_are_selected",
+            _LSS,
+            "    yield from all_waiting(tool)\n    reply",
+            "    reply",
+            "two devices take one node-ID: that of the second one, and the first one was still selected",
+            LSS,
+        ),
+        (
+            "found_stays_selected",
+            _LSS,
+            "    except (Cancelled, LssError):\n        yield from all_waiting(tool)\n        raise\n",
+            "    except LssError:\n        raise\n",
+            "a device that a search has left selected takes the node-ID of another one",
+            LSS,
+        ),
+        (
+            "several_take_one_node_id",
+            "canopen_gateway/ascii/connection.py",
+            "        if reply.count > 1 and node_id != UNCONFIGURED:\n",
+            "        if False:\n",
+            "OK is answered though several devices have taken one node-ID",
+            LSS,
+        ),
         (
             "any_answer_of_the_tui_is_yes",
             "canopen_cli/tui/app.py",

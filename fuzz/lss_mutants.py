@@ -8,9 +8,14 @@ from fuzz.mutant import Mutant
 
 ASSIGN: Final = ("tests/lss/test_lss_assign.py",)
 SCAN: Final = ("tests/lss/test_lss_scan.py",)
+INTERRUPTED: Final = ("tests/lss/test_lss_interrupted.py",)
+RATE: Final = ("tests/lss/test_lss_bit_rate.py",)
+COMMANDS: Final = ("tests/cli/test_lss_interrupted.py",)
 
 _ASSIGN: Final = "lss/assign.py"
 _SCAN: Final = "lss/scan.py"
+_BIT_RATE: Final = "lss/bit_rate.py"
+_RATE_COMMAND: Final = "canopen_cli/lss/rate.py"
 
 LSS_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -74,8 +79,8 @@ LSS_MUTANTS: Final = tuple(
         (
             "second_device_is_one",
             _ASSIGN,
-            "        if reply.count > 1:\n            raise LssNotSelectedError",
-            "        if False:\n            raise LssNotSelectedError",
+            "        if unanswered < 0:  # one device",
+            "        if reply.count:\n            return reply.answers[0][1]\n        if unanswered < 0:  # one device",
             "two devices with one address get one node-ID",
             ASSIGN,
         ),
@@ -90,9 +95,17 @@ LSS_MUTANTS: Final = tuple(
         (
             "two_confirm_one_node_id",
             _ASSIGN,
-            "if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:",
-            "if reply.count > 2 and service is LssService.CONFIGURE_NODE_ID:",
+            '            return "two answers came, of two devices or of one twice"\n        if reply.count == 1',
+            "            pass\n        if reply.count",
             "two devices take one node-ID, and nobody says so",
+            ASSIGN,
+        ),
+        (
+            "late_answer_is_a_second_device",
+            _ASSIGN,
+            "        unanswered += 1 - reply.count\n        if unanswered < 0 and",
+            "        if reply.count > 1 and",
+            "a user is sent to look for a second device, which is not there",
             ASSIGN,
         ),
         (
@@ -102,6 +115,70 @@ LSS_MUTANTS: Final = tuple(
             "    if True:\n        return number",
             "on a bus that loses frames nearly every number is wrong",
             ASSIGN,
+        ),
+        (
+            "cancelled_stays_selected",
+            _SCAN,
+            "    except (Cancelled, Exception):\n",
+            "    except Exception:\n",
+            "after a Ctrl-C a device stays selected: it takes the node-ID of the next one, and no fastscan finds it",
+            INTERRUPTED,
+        ),
+        (
+            "interrupted_node_id_stays",
+            _ASSIGN,
+            "        yield from _take_back(tool, pace, present)\n        raise\n",
+            "        raise\n",
+            "an interrupted device runs with a node-ID that it has not stored, and the next assignment passes it by",
+            INTERRUPTED,
+        ),
+        (
+            "interrupted_bit_rate_stays",
+            _BIT_RATE,
+            "        yield from take_back(tool, pace, present)\n",
+            "        yield from all_waiting(tool)\n",
+            "a device keeps a bit rate that nobody else has, once it stores its node-ID: at its next power-on it is gone",
+            INTERRUPTED,
+        ),
+        (
+            "take_back_selects_nobody",
+            _BIT_RATE,
+            "        yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))\n        yield from ask",
+            "        yield from ask",
+            "a device that missed the switch stores the bit rate of which the user was told that nobody has stored it",
+            RATE,
+        ),
+        (
+            "missed_switch_stays_pending",
+            _RATE_COMMAND,
+            "        await lss.run(take_back(lss.tool, lss.pace, change.old))",
+            "        pass",
+            "a device that missed the switch stores the bit rate of which the user was told that nobody has stored it",
+            COMMANDS,
+        ),
+        (
+            "hidden_devices_do_not_count",
+            _RATE_COMMAND,
+            " or surveyed.again is not None:",
+            ":",
+            "the bit rate is changed while devices may be hidden: they stay at the old one, and disturb the bus",
+            COMMANDS,
+        ),
+        (
+            "lost_bus_after_the_switch_is_silent",
+            _RATE_COMMAND,
+            "        lost.add_note(change.story)\n",
+            "",
+            "our interface cannot have the new bit rate, and the user is not told that all devices have it",
+            COMMANDS,
+        ),
+        (
+            "interrupted_switch_is_silent",
+            _RATE_COMMAND,
+            '        change.story = f"the devices may be at',
+            '        _ = f"the devices may be at',
+            "after a Ctrl-C the user is told that nothing was switched, and all devices are at another bit rate",
+            COMMANDS,
         ),
     )
 )

@@ -70,6 +70,14 @@ SERVICE_MUTANTS: Final = tuple(
             COPIES,
         ),
         (
+            "restore_forgets_a_reset",
+            "manager/parameters/restore.py",
+            "    if node.boots != boots:\n",
+            "    if False:\n",
+            "a restore is told as done though the device has booted meanwhile, and lost what was written",
+            RESTORE,
+        ),
+        (
             "restore_believes_a_copy",
             _QUEUE,
             "return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)",

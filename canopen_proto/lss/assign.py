@@ -16,8 +16,8 @@ selected one is asked for its identity and node-ID: there has to be exactly one,
 step that is not answered is repeated: all of them may be done twice. `Given` names a step that remains unanswered. A node-ID that
 a device may have is not given to another one.
 
-An interrupted assignment is simply begun again. A device that has its node-ID no longer takes part; one that has got it, and has
-not left "configuration", boots at the first "waiting".
+An interrupted assignment is simply begun again. The device that it was at then has no node-ID, as before, or was told to store
+the new one: it never runs with one that only its next power-off would show to be lost.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from canopen_proto.lss.messages import OK, UNCONFIGURED, LssAddress, LssService, error_text
+from canopen_proto.lss.messages import OK, UNCONFIGURED, LssAddress, LssService, LssState, error_text
 from canopen_proto.lss.scan import (
     NOTHING_KNOWN,
     TRIES,
@@ -39,11 +39,12 @@ from canopen_proto.lss.scan import (
     ask,
     identity_of_selected,
     matches,
+    released,
     survey,
 )
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Time, check_node_id
 from canopen_proto.manager.scan import NodeFound, scan
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Wait, act
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Wait, act, ask_for_time
 
 NOBODY_AGREED: Final = "nobody agreed"
 """Why a device is left alone whose node-ID somebody did not want to be written."""
@@ -259,7 +260,8 @@ def give(
     long questions wait.
 
     present: the node-ID that it has; if it has one, it resets its communication, on our command. store: it keeps the node-ID
-    without power. When it is cancelled, all slaves are sent to "waiting" first.
+    without power. When it is cancelled before the device was told to store, the device gets its present node-ID back; in any case
+    all slaves are sent to "waiting" first.
     """
     try:
         result = yield from _give(tool, pace, address, check_node_id(node_id), present, store)
@@ -281,15 +283,22 @@ def _give(tool: LssTool, pace: Pace, address: LssAddress, node_id: int, present:
         yield from all_waiting(tool)
         who = "no node-ID" if own == UNCONFIGURED else f"node-ID {own}"
         return Given(address, node_id, remark=f"nothing was written: the device has {who}")
-    error = yield from _confirmed(tool, pace, LssService.CONFIGURE_NODE_ID, node_id)
+    try:
+        error = yield from _confirmed(tool, pace, LssService.CONFIGURE_NODE_ID, node_id)
+    except Cancelled:
+        yield from ask_for_time(TRIES * pace.window + BOOT_WINDOW)
+        yield from _take_back(tool, pace, present)
+        raise
     if error:
         yield from _take_back(tool, pace, present)
+        yield from all_waiting(tool)
         return Given(address, node_id, remark=f"the node-ID was not confirmed ({error})", is_refused=REFUSED in error)
     stored, remark, is_refused = None, "", False
     if store:
         error = yield from _confirmed(tool, pace, LssService.STORE, node_id)
         stored, is_refused = not error, REFUSED in error
-        remark = f"the node-ID is not stored ({error}): the device loses it without power" if error else ""
+        sure = "is not stored" if is_refused else "is perhaps not stored"
+        remark = f"the node-ID {sure} ({error}): the device loses it without power" if error else ""
     booted, why = yield from _start(tool, address, node_id, present)
     return Given(address, node_id, True, stored, booted, "; ".join(filter(None, (remark, why))), is_refused)
 
@@ -302,7 +311,7 @@ def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[Non
     """Select the device with this address, and make sure that no other is selected. Raises LssNotSelectedError. pace: how long
     questions wait.
 
-    Then all slaves are to be sent to "waiting" (`all_waiting`).
+    Then all slaves are to be sent to "waiting" (`all_waiting`), also when it fails or is cancelled: `released` does so.
     """
     seen: list[set[int]] = []
     for attempt in range(SELECTIONS):
@@ -318,20 +327,48 @@ def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[Non
     raise LssNotSelectedError(f"another device is selected beside {address}: is a second LSS master at work?")
 
 
+def found_device(tool: LssTool, pace: Pace, address: LssAddress | None) -> Procedure[tuple[LssAddress, int]]:
+    """Return the address of a device, and its node-ID or UNCONFIGURED. Nothing is written. pace: how long questions wait.
+    address: None: it is the only one on the bus.
+
+    However it ends, all slaves are in "waiting". Raises LssNotSelectedError if there is not exactly this one.
+    """
+    return (yield from released(tool, _found_device(tool, pace, address)))
+
+
+def _found_device(tool: LssTool, pace: Pace, address: LssAddress | None) -> Procedure[tuple[LssAddress, int]]:
+    if address is None:
+        yield from all_waiting(tool)
+        yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
+        numbers = yield from identity_of_selected(tool, pace)
+        if not all(len(given) == 1 for given in numbers):
+            seen = "several devices answer, or not all of its numbers came" if any(numbers) else "nobody answers"
+            raise LssNotSelectedError(f"there is not exactly one device with LSS on the bus: {seen}")
+        address = LssAddress(*(given.pop() for given in numbers))
+    yield from select_only(tool, pace, address)
+    return address, (yield from own_node_id(tool, pace))
+
+
 def own_node_id(tool: LssTool, pace: Pace) -> Procedure[int]:
     """Return the node-ID of the selected device, or UNCONFIGURED. Raises LssNotSelectedError unless one device answers. pace: how
     long questions wait."""
+    unanswered = 0
     for _ in range(CONFIRMATIONS):
         reply = yield from ask(tool, lambda now: tool.master.inquire(LssService.INQUIRE_NODE_ID, now, window=pace.window))
-        if reply.count > 1:
-            raise LssNotSelectedError("two devices with this address answer: set another serial number, or connect one at a time")
-        if reply.count:
+        unanswered += 1 - reply.count
+        if unanswered < 0:  # one device gives one answer to each question, however late
+            raise LssNotSelectedError(
+                "two answers came: of two devices with this address (set another serial number, or connect one at a time), or of "
+                "one, twice (then the same again)"
+            )
+        if reply.count == 1:
             return reply.answers[0][1]
     raise LssNotSelectedError("it does not say which node-ID it has")
 
 
 def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> Procedure[str]:
     """Write the node-ID, or store it; return "" if the one device has confirmed it, else why not."""
+    unanswered = 0
     for _ in range(CONFIRMATIONS):
         if service is LssService.STORE:
             reply = yield from ask(tool, lambda now: tool.master.store(now, guard=pace.after_answer))
@@ -340,20 +377,20 @@ def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> 
         errors = {error_text(service, answer[1], answer[2]) for answer in reply.answers if answer[1] != OK}
         if errors:
             return f"{REFUSED}: {', '.join(sorted(errors))}"
-        if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:
-            return "two devices answered"
-        if reply.count:
+        unanswered += 1 - reply.count
+        if unanswered < 0 and service is LssService.CONFIGURE_NODE_ID:  # as in `own_node_id`
+            return "two answers came, of two devices or of one twice"
+        if reply.count == 1 or (reply.count and service is LssService.STORE):
             return ""
     return "no answer: the device may have it all the same" if service is LssService.CONFIGURE_NODE_ID else "no answer"
 
 
 def _take_back(tool: LssTool, pace: Pace, present: int) -> Procedure[None]:
-    """Put the old pending node-ID back, before the device leaves "configuration", then leave it."""
+    """Put the old pending node-ID back, before the device leaves "configuration"."""
     for _ in range(TRIES):
         reply = yield from ask(tool, lambda now: tool.master.configure_node_id(present, now, window=pace.window))
         if reply.count:
             break
-    yield from all_waiting(tool)
 
 
 def _start(tool: LssTool, address: LssAddress, node_id: int, present: int) -> Procedure[tuple[bool, str]]:
@@ -367,7 +404,7 @@ def _start(tool: LssTool, address: LssAddress, node_id: int, present: int) -> Pr
             yield from act(lambda now: tool.reset(present, now))
         count = yield from _boot_ups(tool, node_id)
         if count > 1:
-            return False, f"two devices booted with the node-ID {node_id}: disconnect one"
+            return False, f"two boot-ups came with the node-ID {node_id}, of two devices (disconnect one) or of one twice"
         if count or node_id in (yield from nodes_there(tool, [node_id], listen=0)):
             return True, ""
     return False, (

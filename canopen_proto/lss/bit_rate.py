@@ -9,6 +9,9 @@ The order, and the way back from each step:
                                                            the others back
     store      0x17, only now                              until then, power off and on brings the old bit rate back
 
+What ends before "store" takes the new bit rate back from all devices (`take_back`): else they would keep it, and switch at their
+next power-on, when somebody lets them store their node-ID.
+
 `activate` reaches all devices of the bus, so `prepare` must have had all of them, also those without a node-ID: a device that was
 not prepared stays where it is, and disturbs the bus with every frame that it sends or misunderstands.
 """
@@ -21,9 +24,9 @@ from typing import Final
 
 from canopen_proto.lss.assign import LssNotSelectedError, select_only
 from canopen_proto.lss.messages import BIT_RATES, OK, LssAddress, LssService, LssState, error_text
-from canopen_proto.lss.scan import TRIES, LssTool, Pace, all_waiting, ask
-from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
-from canopen_proto.procedures.steps import Cancelled, Procedure, act, sleep
+from canopen_proto.lss.scan import TRIES, LssTool, Pace, all_waiting, ask, released
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
+from canopen_proto.procedures.steps import Cancelled, Procedure, act, ask_for_time, sleep
 
 DELAY: Final = 1000 * MILLISECOND
 """The switch delay: longer than the slowest device needs for its controller, and than an interface on USB needs."""
@@ -49,7 +52,8 @@ def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate
     """Set the pending bit rate of all devices, kbit/s; return those that refused, or do not answer. pace: how long questions
     wait. addresses: all devices on the bus.
 
-    With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled.
+    With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled, by
+    `take_back`.
     """
     index, old = index_of(bit_rate), index_of(present)
     prepared: list[LssAddress] = []
@@ -60,9 +64,20 @@ def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate
             if remark:
                 return [Refusal(address, remark), *(yield from _put_back(tool, pace, prepared, old))]
     except Cancelled:
-        yield from all_waiting(tool)
+        yield from ask_for_time(TRIES * pace.window + SECOND)
+        yield from take_back(tool, pace, present)
         raise
     return []
+
+
+def take_back(tool: LssTool, pace: Pace, present: int) -> Procedure[None]:
+    """Make the bit rate that all devices have the pending one, too, of all at once: nothing is left that a later store would
+    keep. Whether each does so is not asked. pace: how long the answers are awaited. present: kbit/s."""
+    index = index_of(present)
+    for _ in range(TRIES):
+        yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
+        yield from ask(tool, lambda now: tool.master.configure_bit_timing(index, now, window=pace.window))
+    yield from all_waiting(tool)
 
 
 def _put_back(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress], index: int) -> Procedure[list[Refusal]]:
@@ -91,10 +106,13 @@ def store_all(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Pro
 
 
 def _on_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[str]:
+    return (yield from released(tool, _while_selected(tool, pace, address, service, index)))
+
+
+def _while_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[str]:
     try:
         yield from select_only(tool, pace, address)
     except LssNotSelectedError as failed:
-        yield from all_waiting(tool)
         return str(failed)
     remark = "it does not answer: not supported by this device?"
     for _ in range(TRIES):
@@ -106,7 +124,6 @@ def _on_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssSer
             errors = {error_text(service, answer[1], answer[2]) for answer in reply.answers if answer[1] != OK}
             remark = f"the device says: {', '.join(sorted(errors))}" if errors else ""
             break
-    yield from all_waiting(tool)
     return remark
 
 
@@ -122,13 +139,16 @@ def activate(tool: LssTool, delay: Time = DELAY) -> Procedure[None]:
 
 
 def missing(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Procedure[list[LssAddress]]:
-    """Return which devices do not answer when they are selected. pace: how long questions wait. addresses: of the devices. At the
-    end all slaves are in "waiting"."""
+    """Return which devices do not answer when they are selected. pace: how long questions wait. addresses: of the devices.
+    However it ends, all slaves are in "waiting"."""
+    return (yield from released(tool, _missing(tool, pace, addresses)))
+
+
+def _missing(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Procedure[list[LssAddress]]:
     absent = []
     for address in addresses:
         try:
             yield from select_only(tool, pace, address)
         except LssNotSelectedError:
             absent.append(address)
-    yield from all_waiting(tool)
     return absent

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypeVar
 
 from canopen_proto.frame import ALL_NODE_IDS, ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
@@ -34,6 +34,8 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Machine, Ou
 from canopen_proto.manager.scan import Scanner
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Request, act, current_time
+
+T = TypeVar("T")
 
 NUMBERS: Final = len(FIELD_NAMES)
 BITS: Final = 32
@@ -182,6 +184,18 @@ def all_waiting(tool: LssTool) -> Procedure[None]:
     """Send all slaves to "waiting", twice: one that misses it would take what is meant for another."""
     for _ in range(2):
         yield from act(lambda now: tool.master.switch_global(LssState.WAITING, now))
+
+
+def released(tool: LssTool, work: Procedure[T]) -> Procedure[T]:
+    """Run a procedure that selects slaves; return its result. However it ends, all slaves are in "waiting" then: one that stays
+    selected takes what is meant for others, and no fastscan finds it."""
+    try:
+        result = yield from work
+    except (Cancelled, Exception):
+        yield from all_waiting(tool)
+        raise
+    yield from all_waiting(tool)
+    return result
 
 
 def identity_of_selected(tool: LssTool, pace: Pace) -> Procedure[list[set[int]]]:

@@ -17,6 +17,7 @@ from canopen_master import Master
 from canopen_proto.lss import (
     LssAddress,
     LssAssignment,
+    LssError,
     LssMaster,
     LssReply,
     LssService,
@@ -27,9 +28,9 @@ from canopen_proto.lss import (
     in_order,
 )
 from canopen_proto.lss.messages import number_of
-from canopen_proto.lss.scan import Known, Pace, all_waiting, ask, identity_of_selected, search
+from canopen_proto.lss.scan import Known, Pace, all_waiting, ask, identity_of_selected, matches, search
 from canopen_proto.machine import MILLISECOND, RequestId, Time
-from canopen_proto.procedures.steps import act
+from canopen_proto.procedures.steps import Cancelled, Procedure, act
 
 INQUIRIES: Final = (
     LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL,
@@ -60,10 +61,11 @@ class LayerSettings:
             self.is_selected = state is LssState.CONFIGURATION
 
     async def select(self, address: LssAddress) -> bool:
-        """Select the device with an address; return whether it has answered."""
-        reply = await self.command("switch state selective", lambda lss, now: lss.select(address, now))
-        self.is_selected = reply.count > 0
-        return self.is_selected
+        """Select the device with an address, and no other; return whether it has answered."""
+        async with self._in_turn("switch state selective") as tool:
+            self.is_selected = False
+            self.is_selected = await self._master.run(_selected(tool, address))
+            return self.is_selected
 
     async def command(self, what: str, give: Callable[[LssMaster, Time], RequestId]) -> LssReply:
         """Give a command of the LSS master, and return its answers. what: its name, for a refusal. give: gives it, at a time."""
@@ -88,14 +90,9 @@ class LayerSettings:
         """Find and select the device without a node-ID that has the lowest address; None if there is none. known: numbers of its
         address. window: ns for silence. Raises LssError."""
         async with self._in_turn("fastscan") as tool:
-            pace = Pace(window=window)
-            await self._master.run(all_waiting(tool))
             self.is_selected = False
-            address: LssAddress | None = await self._master.run(fastscan(tool, pace, known))
-            if address is not None:
-                numbers = await self._master.run(identity_of_selected(tool, pace))
-                self.is_selected = [{number} for number in address] == numbers
-                address = address if self.is_selected else None
+            address: LssAddress | None = await self._master.run(_selected_by_fastscan(tool, Pace(window=window), known))
+            self.is_selected = address is not None
             return address
 
     async def slowscan(
@@ -125,6 +122,28 @@ class LayerSettings:
                 self._bus.network.attach(self._tool)
                 self._bus.renew_filters()
             yield self._tool
+
+
+def _selected(tool: LssTool, address: LssAddress) -> Procedure[bool]:
+    """Select a device, and return whether it has answered. Those selected before would take what is meant for it; and one whose
+    answer was lost does not answer once more, unless it is sent to "waiting"."""
+    yield from all_waiting(tool)
+    reply = yield from ask(tool, lambda now: tool.master.select(address, now))
+    return reply.count > 0
+
+
+def _selected_by_fastscan(tool: LssTool, pace: Pace, known: Known) -> Procedure[LssAddress | None]:
+    """Find a device, and select it. If none was found for sure, or this is cancelled, nobody stays selected."""
+    try:
+        yield from all_waiting(tool)
+        address = yield from fastscan(tool, pace, known)
+        if address is not None and matches((yield from identity_of_selected(tool, pace)), [address]):
+            return address
+    except (Cancelled, LssError):
+        yield from all_waiting(tool)
+        raise
+    yield from all_waiting(tool)
+    return None
 
 
 def window_of(milliseconds: int) -> Time:

@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -129,6 +130,24 @@ def test_headlines_say_what_the_devices_do(buses: list[list[Planted]], start: st
     assert not kept or "since it is kept alive" in headline
     if missing:
         assert policy(startup) in problem.also
+
+
+@pytest.mark.parametrize("start", ["each", "all"])
+@pytest.mark.parametrize("state", [4, 0x7F])
+def test_a_node_that_does_not_follow_its_start_command_is_not_told_to_run(start: str, state: int) -> None:
+    bench = BootBench((1, 2))
+    deaf, obey = bench.nodes[1], bench.nodes[1]._obey
+    deaf._obey = lambda command, now: setattr(deaf, "state", state) if command == 1 else obey(command, now)  # type: ignore[method-assign]
+    boot = bench.network_boot(STARTS[start])
+    report: BootReport = bench.run(boot.start())
+    described = NetworkEntry(boot.startup, {each: entry(each, MANDATORY) for each in bench.nodes})
+    rows = rows_of("can0", described, report, {1: "n1", 2: "n2"})
+    problem = problem_of(rows, boot.startup)
+    assert problem is not None
+    assert (problem.exit_code, problem.node) == (ExitCode.PARTIAL, 1)
+    assert "1 of 2 nodes runs, 1 started and not running" in problem.failed
+    assert problem.seen == "n1: was started, and shows that it does not run"
+    assert "canopen nmt start 1" in problem.tries[0]
 
 
 @examples(300, least=60)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import os
+import socket
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
 import pytest
 
+from canopen_cli.net import boot as net_boot
 from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode
+from canopen_master.claims import channel_claim
 from canopen_master.claims.further_channels import FurtherChannels
 from tests.cli.backup_world import EDS, NODE, Lasting, lasting_device
-from tests.cli.cli_support import Run, runner_in_folder
+from tests.cli.cli_support import Alarm, Run, runner_in_folder
 
 Claim = tuple[int, bool, bool, tuple[int, ...]]
 """The node, whether for a few reads, whether to write, and the further channels that could be used."""
@@ -69,7 +74,58 @@ def test_what_reads_may_use_a_further_channel_of_its_file_and_what_writes_may_no
         assert claims == [claim], command
 
 
-def test_what_may_stop_a_drive_claims_nothing(run: Run, claims: list[Claim]) -> None:
+MACHINE = """
+[buses.can0]
+
+[nodes]
+left = { id = 3, boot = { mandatory = true } }
+right = { id = 4, boot = { mandatory = true } }
+"""
+
+
+@pytest.fixture
+def states(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The nodes whose NMT state is claimed by the commands to come."""
+    made: list[int] = []
+
+    @asynccontextmanager
+    async def claim(locator: str, node_ids: Iterable[int], patience: float = 2.0) -> AsyncIterator[None]:
+        made.extend(node_ids)
+        yield
+
+    monkeypatch.setattr(session, "state_claim", claim)
+    monkeypatch.setattr(net_boot, "state_claim", claim)
+    return made
+
+
+def test_what_resets_nodes_or_writes_a_program_claims_their_nmt_state(run: Run, alarm: Alarm, states: list[int]) -> None:
+    Path("cell.toml").write_text(MACHINE)
+    Path("firmware.bin").write_bytes(b"program")
+    for command, nodes in (
+        (("net", "boot", "cell.toml", "--yes", "-b", "demo"), [3, 4]),
+        (("net", "boot", "cell.toml", "--dry-run", "-b", "demo"), []),
+        (("flash", "3", "firmware.bin", "--yes", "-b", "demo"), [3]),
+    ):
+        states.clear()
+        run(*command)
+        assert states == nodes, command
+
+
+@pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
+def test_a_network_is_not_booted_while_another_program_has_one_of_its_nodes(run: Run) -> None:
+    Path("cell.toml").write_text(MACHINE)
+    bus = f"tcp:127.0.0.1:{os.getpid()}"
+    name = channel_claim._name_of(bus, 4)
+    assert name is not None
+    with closing(channel_claim._Claims(name)) as other:
+        other.take(channel_claim.NMT_STATE)
+        outcome = run("net", "boot", "cell.toml", "--yes", "-b", bus)
+    assert (outcome.status, "CO208" in outcome.err) == (ExitCode.SDO_ABORT, True), outcome.err
+    assert "another program resets and starts node 4" in outcome.err
+    assert f"process {os.getpid()} (" in outcome.err
+
+
+def test_what_may_stop_a_drive_claims_nothing(run: Run, claims: list[Claim], states: list[int]) -> None:
     for command in (
         ("drive", "3", "stop", "-b", "demo"),
         ("drive", "3", "disable", "-b", "demo"),
@@ -77,4 +133,4 @@ def test_what_may_stop_a_drive_claims_nothing(run: Run, claims: list[Claim]) -> 
         ("nmt", "stop", "3", "-b", "demo"),
     ):
         assert run(*command).status == 0, command
-    assert claims == []
+    assert (claims, states) == ([], [])

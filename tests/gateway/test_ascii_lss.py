@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import trio
+
 from canopen_master.simulation.serving import drive_maker
 from canopen_proto.gateway import LELY
-from canopen_proto.lss.messages import UNCONFIGURED
-from tests.gateway.gateway_world import text_client
+from canopen_proto.lss.messages import UNCONFIGURED, LssState
+from canopen_proto.lss.scan import NOTHING_KNOWN
+from canopen_proto.machine import MILLISECOND
+from tests.gateway.gateway_world import gateway, text_client
 from tests.master.world import virtual_time
 
 ADDRESS = "0x332 0x43 0x10000"
@@ -57,6 +61,47 @@ async def test_a_device_is_selected_by_its_address() -> None:
         assert await client.say("[3] lss_switch_glob 0") == "[3] OK"
         assert await client.say(f"[4] lss_switch_sel {ADDRESS} 9") == "[4] ERROR:103 #Time-out."
         assert (await client.say("[5] lss_get_node")).startswith("[5] ERROR:102 #")
+
+
+@virtual_time
+async def test_a_node_id_is_for_the_device_that_was_selected_last_alone() -> None:
+    async with text_client(allow="lss", makers=devices(2)) as (host, client):
+        assert await client.say(f"[1] lss_switch_sel {ADDRESS} 1") == "[1] OK"
+        assert await client.say(f"[2] lss_switch_sel {ADDRESS} 2") == "[2] OK"
+        assert await client.say("[3] lss_set_node 5") == "[3] OK"
+        assert [node.lss.pending.node_id for node in host.nodes] == [UNCONFIGURED, 5]
+
+
+@virtual_time
+async def test_a_device_whose_answer_to_its_selection_was_lost_can_be_selected_again() -> None:
+    async with text_client(allow="lss", makers=devices(1)) as (host, client):
+        host.nodes[0].lss.state = LssState.CONFIGURATION
+        assert await client.say(f"[1] lss_switch_sel {ADDRESS} 1") == "[1] OK"
+
+
+@virtual_time
+async def test_a_node_id_that_several_devices_take_is_not_answered_by_ok() -> None:
+    async with text_client(allow="lss", makers=devices(2)) as (host, client):
+        assert await client.say("[1] lss_switch_glob 1") == "[1] OK"
+        answer = await client.say("[2] lss_set_node 5")
+        assert answer.startswith("[2] ERROR:102 #"), answer
+        assert "2 devices have taken it" in answer
+        assert await client.say("[3] lss_set_node 255") == "[3] OK"
+        assert [node.lss.pending.node_id for node in host.nodes] == [UNCONFIGURED, UNCONFIGURED]
+
+
+@virtual_time
+async def test_a_search_that_ends_early_leaves_no_device_selected() -> None:
+    async with gateway(allow="lss", makers=devices(1)) as (host, service):
+        settings, begun = service.layer_settings(service.master.bus().name), trio.current_time()
+        assert await settings.fastscan(NOTHING_KNOWN, 20 * MILLISECOND) is not None
+        whole = trio.current_time() - begun
+        for early in range(1, 100, 7):
+            with trio.move_on_after(whole - early / 1000) as limit:
+                await settings.fastscan(NOTHING_KNOWN, 20 * MILLISECOND)
+            assert limit.cancelled_caught
+            await trio.sleep(0.01)
+            assert (settings.is_selected, host.nodes[0].lss.state) == (False, LssState.WAITING), early
 
 
 @virtual_time

@@ -127,7 +127,7 @@ def test_a_device_that_waits_for_an_nmt_command_and_answers_again() -> None:
     [
         ({0x17: "1701"}, "not stored (the device says: storing not supported): the device loses it without power"),
         ({0x17: "1702"}, "not stored (the device says: access to the storage failed)"),
-        ({0x17: None}, "not stored (no answer)"),
+        ({0x17: None}, "perhaps not stored (no answer)"),
         ({0x11: "1101"}, "was not confirmed (the device says: node-ID out of range)"),
         ({0x11: "11FF09"}, "the maker's own error 9"),
         ({0x11: None}, "no answer: the device may have it all the same"),
@@ -184,8 +184,55 @@ def test_a_node_id_that_two_devices_confirm_is_taken_back() -> None:
     bench = LssBench(some(1))
     shy = bench.bus.attach(Shy(Outbox(), some(1)[0]))
     given = bench.run(give(bench.tool, bench.pace, some(1)[0], 10))
-    assert "two devices answered" in given.remark
+    assert "two answers came, of two devices or of one twice" in given.remark
     assert (bench.ids, shy.pending.node_id, bench.sent(LssService.STORE)) == ([UNCONFIGURED], UNCONFIGURED, 0)
+
+
+class Late(LssSlave):
+    """A slave whose first answer to a service comes together with its second one."""
+
+    def __init__(self, address: LssAddress, service: int) -> None:
+        super().__init__(Outbox(), address)
+        self._service = service
+        self._late: list[Frame] | None = None
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        super().receive(frame, now)
+        if self.out.events and isinstance(self.out.events[-1], LssResetNeeded):
+            self.active = self.pending
+            self.out.frames.append(Frame(0x700 + self.active.node_id, b"\0"))
+        if self.out.frames and frame.data[0] == self._service:
+            if self._late is None:
+                self._late = [self.out.frames.pop()]
+            else:
+                self.out.frames[:0] = self._late
+                self._late = []
+
+
+@pytest.mark.parametrize("service", [LssService.INQUIRE_NODE_ID, LssService.CONFIGURE_NODE_ID])
+def test_a_late_answer_is_no_second_device(service: int) -> None:
+    bench = LssBench([])
+    slave = bench.bus.attach(Late(some(1)[0], service))
+    given = bench.run(give(bench.tool, bench.pace, some(1)[0], 10, store=False))
+    assert (given.is_complete, given.remark, slave.active.node_id) == (True, "", 10)
+
+
+@pytest.mark.parametrize("service", [LssService.INQUIRE_NODE_ID, LssService.CONFIGURE_NODE_ID])
+def test_two_devices_with_one_address_are_two_though_the_first_question_is_lost(service: int) -> None:
+    class Misses(LssSlave):
+        missed = False
+
+        def receive(self, frame: Frame, now: Time) -> None:
+            if frame.data[0] == service and not self.missed:
+                self.missed = True
+            elif service != LssService.CONFIGURE_NODE_ID or frame.data[0] != LssService.INQUIRE_NODE_ID or self is twins[0]:
+                super().receive(frame, now)
+
+    bench = LssBench([])
+    twins = [bench.bus.attach(Misses(Outbox(), some(1)[0])) for _ in range(2)]
+    given = bench.run(give(bench.tool, bench.pace, some(1)[0], 10))
+    assert "two devices" in given.remark
+    assert [twin.pending.node_id for twin in twins] == [UNCONFIGURED] * 2
 
 
 def test_a_node_changes_its_id_and_no_other_does() -> None:

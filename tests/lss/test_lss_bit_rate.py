@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.lss.bit_rate import Refusal, activate, missing, prepare, store_all
+from canopen_proto.lss.bit_rate import Refusal, activate, missing, prepare, store_all, take_back
 from canopen_proto.lss.messages import LssAddress, LssService
 from canopen_proto.lss.slave import LssSlave
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox
@@ -96,6 +96,10 @@ def test_a_device_that_missed_the_switch_is_named_and_the_others_come_back() -> 
     bench.switch(125)
     assert bench.rates == [125] * 3
     assert bench.run(missing(bench.tool, bench.pace, ADDRESSES)) == []
+    assert bench.slaves[1].pending.bit_rate == 500  # it would come back with this one, once somebody lets it store its node-ID
+    bench.run(take_back(bench.tool, bench.pace, 125))
+    assert [slave.pending for slave in bench.slaves] == [slave.persistent for slave in bench.slaves]
+    assert bench.none_is_selected
 
 
 def test_nobody_speaks_around_the_switch() -> None:

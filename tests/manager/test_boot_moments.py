@@ -111,6 +111,22 @@ def test_a_boot_up_that_passes_the_start_command(startup: int, assignment: int) 
     assert bench.nodes[3].state == 5
 
 
+def test_a_boot_up_that_passes_the_start_command_while_another_node_is_awaited() -> None:
+    """It is seen to later, and the node runs without its settings all the same."""
+    bench = BootBench([2, 3])
+    bench.nodes[3].switch_off()
+    boot = bench.network_boot(1, entry(2, MANDATORY), entry(3, MANDATORY), boot_time=5 * SECOND)
+    bench.master.run(boot.start(), bench.bus.now)
+    bench.bus.run_until(lambda: "000#0102" in bench.commands_sent())
+    bench.nodes[2].boot(bench.bus.now - 50 * MICROSECOND)
+    bench.bus.run(MILLISECOND)
+    assert bench.nodes[2].state == 5, "the command has passed the boot-up"
+    bench.nodes[2].table[SETTING] = bytes(2)
+    bench.bus.run(10 * SECOND)
+    assert bench.commands_sent() == ["000#8200", "000#0102", "000#8202", "000#0102"]
+    assert (bench.nodes[2].state, bench.nodes[2].table[SETTING]) == (5, b"\x34\x12")
+
+
 def started_and_supervised(boot: NetworkBoot) -> Procedure[NodeLost]:
     yield from boot.start()
     return (yield from boot.supervise())

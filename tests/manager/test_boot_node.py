@@ -114,7 +114,9 @@ def test_every_letter(
     bench, outcome = booted(answers, assignment, **fields)
     assert (outcome.letter, outcome.object, outcome.abort_code) == (letter, place, abort)
     assert outcome.is_failure == (letter not in "0L")
-    assert str(outcome).startswith(f"node 6: {outcome.letter.meaning}")
+    assert str(outcome).startswith(f"node 6: {outcome.meaning}")
+    assert abort is None or ("has another" in outcome.meaning) == (letter in "HI"), "it was not read"
+    assert abort in (None, 0x0504_0000) or outcome.meaning != "does not answer"
     assert f"({letter}, " in str(outcome)
     assert not any(command.startswith("000#01") for command in bench.commands_sent())
     assert outcome.elapsed <= 10 * SECOND
@@ -458,8 +460,15 @@ def test_a_node_is_not_watched_while_it_boots() -> None:
         (
             {SERIAL: ABSENT},
             (
-                "node 6: has another serial number: 0x1018:04, expected 0x0000004D; abort 0x06020000, "
+                "node 6: does not tell its serial number: 0x1018:04, expected 0x0000004D; abort 0x06020000, "
                 "object does not exist in the object dictionary (O, 0.001 s)"
+            ),
+        ),
+        (
+            {DEVICE_TYPE: ABSENT},
+            (
+                "node 6: refuses to tell its device type: 0x1000:00; abort 0x06020000, "
+                "object does not exist in the object dictionary (B, 0.0002 s)"
             ),
         ),
         (

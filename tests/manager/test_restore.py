@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_cli.node.restore_output import story
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import COB_ID_INVALID, Frame
@@ -141,6 +142,33 @@ def test_the_device_stores_at_the_end() -> None:
     assert bench.device.state is NmtState.OPERATIONAL
     again = bench.restore(values, store=True)
     assert (again.plan.writes, again.stored) == ((), True)
+
+
+@pytest.mark.parametrize("is_cancelled", [True, False])
+def test_a_store_without_an_answer_may_have_been_executed_and_the_story_says_so(is_cancelled: bool) -> None:
+    bench = Bench()
+    bench.host_stores = False
+    plan = bench.plan({LIMITED << 8: 12})
+    so_far = Restoration(plan)
+    request_id = bench.start(restore(bench.remote, bench.nmt, plan, so_far, store=True))
+    bench.bus.run_until(lambda: (0x1010, 1) in [write[:2] for write in bench.device.writes])
+    if is_cancelled:
+        bench.master.cancel(request_id, bench.bus.now)
+    else:
+        bench.bus.detach(bench.network)
+    bench.outcome()
+    assert (so_far.stored, so_far.store_in_doubt, so_far.is_done) == (False, True, False)
+    assert "all of it is written, and perhaps stored" in story([so_far])
+
+
+def test_a_store_that_is_refused_is_in_no_doubt() -> None:
+    bench = Bench()
+    plan = bench.plan({LIMITED << 8: 12})
+    so_far = Restoration(plan)
+    bench.device.refuse = lambda count: AbortCode.DEVICE_STATE if count == 2 else None
+    bench.start(restore(bench.remote, bench.nmt, plan, so_far, store=True))
+    assert isinstance(bench.outcome(), ProcedureFailed)
+    assert (so_far.stored, so_far.store_in_doubt) == (False, False)
 
 
 def test_a_store_may_take_its_time_and_not_all_of_it() -> None:
@@ -383,4 +411,36 @@ def test_whatever_resets_a_device_in_the_middle_never_is_it_called_restored(writ
     assert isinstance(outcome, ProcedureFailed)
     assert f"ended after {write} of {len(SETTINGS)} writes" in str(outcome.error)
     assert 0x1010 not in [index for index, _, _ in bench.device.writes]
+    assert bench.device.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_device_that_was_reset_since_its_values_were_read_is_not_called_restored() -> None:
+    """The plan has only what differed then. The reset has undone the rest."""
+    bench = Bench()
+    kept, rest = {LIMITED << 8: 17}, {GAIN << 8: -2.25}
+    bench.restore(kept)
+    plan = bench.plan({**kept, **rest})
+    bench.device.execute(NmtCommand.RESET_NODE, bench.bus.now)
+    bench.bus.run(MILLISECOND)
+    bench.clear()
+    bench.start(restore(bench.remote, bench.nmt, plan))
+    outcome = bench.outcome()
+    assert isinstance(outcome, ProcedureFailed)
+    assert "nothing was written to node 5: it has booted since its values were read" in str(outcome.error)
+    assert (bench.device.writes, nmt_commands(bench)) == ([], [])
+
+
+@pytest.mark.parametrize(("command", "heartbeat_ms"), [("000#8005", 0), ("000#8005", 200), ("000#0105", 200)])
+def test_a_device_that_is_reset_while_its_state_is_awaited_is_not_called_restored(command: str, heartbeat_ms: int) -> None:
+    bench = Bench(device(heartbeat_ms))
+    kept, rest = {LIMITED << 8: 17}, {GAIN << 8: -2.25}
+    bench.restore(kept)
+    plan = bench.plan({**kept, **rest})
+    bench.clear()
+    bench.start(restore(bench.remote, bench.nmt, plan))
+    bench.bus.run_until(lambda: command in nmt_commands(bench))
+    bench.device.execute(NmtCommand.RESET_NODE, bench.bus.now)
+    outcome = bench.outcome()
+    assert isinstance(outcome, ProcedureFailed)
+    assert "it has booted since its values were read" in str(outcome.error)
     assert bench.device.state is NmtState.PRE_OPERATIONAL

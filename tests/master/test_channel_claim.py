@@ -11,7 +11,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTakenError, channel_claim
+from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTakenError, channel_claim, state_claim
 from tests.loops import loop
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
@@ -114,3 +114,20 @@ trio.run(main)
             await channel_free(BUS, 7, 0)
 
         in_virtual_time(free)
+
+
+def test_one_program_alone_has_the_nmt_state_of_a_node_and_nobody_is_kept_from_its_channels() -> None:
+    async def main() -> None:
+        async with state_claim(BUS, [5, 6]):
+            await channel_free(BUS, 5, 0)
+            async with channel_claim(BUS, 5, writes=True), state_claim(BUS, [7]):
+                pass
+            with pytest.raises(ChannelTakenError, match="another program resets and starts node 6") as refused:
+                await state_claim(BUS, [7, 6]).__aenter__()
+            assert f"process {os.getpid()} (" in refused.value.seen
+            async with state_claim(BUS, [7], 0):
+                pass
+        async with state_claim(BUS, [5, 6], 0):
+            pass
+
+    in_virtual_time(main)

@@ -20,7 +20,8 @@ class BootingNode:
     started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. watched_since: when
     it last got its full time again, after an outage of the bus. unheard: how long the bus has worked without a sign of its life,
     summed over the stretches between outages. beats: when its heartbeats came, while they are not watched yet.
-    sends_none_until: so long its word counts that it sends none.
+    sends_none_until: so long its word counts that it sends none. is_unseen: it was started, and has not yet shown that it runs.
+    was_reset: it was told to reset, and has not been booted since.
     reset: how it is reset when it is heard again. is_missed: it was lost, and has not booted since.
     """
 
@@ -41,10 +42,12 @@ class BootingNode:
         self.is_requested = False
         self.is_suspended = False
         self.is_missed = False
+        self.is_unseen = False
+        self.was_reset = False
 
     def take_start(self, now: Time) -> None:
         """Take note of a start command."""
-        self.is_running, self.started_at = True, now
+        self.is_running, self.started_at, self.is_unseen = True, now, True
 
     @property
     def is_good(self) -> bool:
@@ -60,6 +63,16 @@ class BootingNode:
     def is_supervised(self) -> bool:
         """Whether its loss would be noticed: its heartbeats are watched, or it is guarded."""
         return bool(self.node.heartbeat.timeout or self.node.guarding.guard_time)
+
+    @property
+    def unconfirmed(self) -> NmtCommand | None:
+        """The reset that it was told, if no boot-up has come since."""
+        return self.reset if self.was_reset and self.node.boots == self.boots else None
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it was started, or left running, and its own word, or a command since, is that it does not run."""
+        return self.is_running and self.node.nmt_state is not NmtState.OPERATIONAL
 
     @property
     def is_left_running(self) -> bool:

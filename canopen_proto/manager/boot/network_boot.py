@@ -16,6 +16,10 @@ not booted again. The command to all nodes (bit 1) is sent only if each listed n
 ready ones are started one by one. A node that is kept alive is reset only if it is not Operational. A node that boots just when
 it is started runs without its settings until its boot-up is heard; then it is reset.
 
+**Running is who shows it.** NMT commands are not confirmed. A node that is watched, and still shows Pre-operational after its
+start, has not got the command: it is sent again, START_TRIES times in all. `BootReport.idle` names those that do not run all the
+same, or that another master has sent into another state since; they are left to that master.
+
 **Watched is whoever sends heartbeats.** A node without a consumer time and without guarding is watched by the time in its 0x1017.
 A node that begins to send heartbeats later is watched from then on (`NodeSupervised`): by its 0x1017, or, if it does not answer,
 by the longest of the first intervals. Such a node is lost only if it does not answer either: when its heartbeats stop, its 0x1017
@@ -51,7 +55,7 @@ from canopen_proto.manager.boot.member import BootingNode
 from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NmtCommands, NodeHook, boot_node, watch_by
 from canopen_proto.manager.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.network import Network, OutageChanged
-from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
+from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster, NmtState
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, Wait, act, all_of, current_time, upload
 from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
 
@@ -65,6 +69,10 @@ MEASURED: Final = 3
 """Intervals of heartbeats from which a period is taken that the node does not tell: an adapter may hold single frames back."""
 LEAST_MEASURED: Final = 100 * MILLISECOND
 """The shortest consumer time that is taken from measured intervals."""
+START_TRIES: Final = 3
+"""How often a start command is sent, until a heartbeat shows that the node runs."""
+SEEN_WITHIN: Final = 2 * SECOND
+"""For a heartbeat after a start, before `start` ends: slower ones are for `supervise`."""
 LOOK: Final = 100 * MILLISECOND
 """Between two looks whether the others have booted."""
 
@@ -131,7 +139,8 @@ class BootReport:
     """How the start of a network went.
 
     outcomes: by node-ID, as far as there are. missing: the mandatory nodes that are not ready. running: the nodes that were
-    started, or left running, and are still as they were then, as far as is known. gone: those that were ready, and are lost or
+    started, or left running, and are still as they were then, as far as is known. idle: those that were, and show that they do
+    not run. gone: those that were ready, and are lost or
     have booted again. unsupervised: those that are ready, and whose loss nobody would notice: they send no heartbeat, and are not
     guarded. left_running: those that have failed, were not reset since they are kept alive, and were last heard as Operational.
     elapsed: ns.
@@ -144,6 +153,7 @@ class BootReport:
     elapsed: Time
     unsupervised: tuple[int, ...] = ()
     left_running: tuple[int, ...] = ()
+    idle: tuple[int, ...] = ()
 
     @property
     def is_started(self) -> bool:
@@ -214,11 +224,12 @@ class NetworkBoot:
         return BootReport(
             {node_id: member.outcome for node_id, member in members if member.outcome is not None},
             tuple(node_id for node_id, member in members if member.entry.assignment.is_mandatory and not member.is_ready),
-            tuple(node_id for node_id, member in members if member.is_running and node_id not in gone),
+            tuple(node_id for node_id, member in members if member.is_running and not member.is_idle and node_id not in gone),
             tuple(sorted(gone)),
             now - self._begun,
             tuple(node_id for node_id, member in members if member.is_ready and not member.is_supervised),
             tuple(node_id for node_id, member in members if member.is_left_running),
+            tuple(node_id for node_id, member in members if member.is_idle and node_id not in gone),
         )
 
     def _is_unheard(self, member: BootingNode) -> bool:
@@ -256,7 +267,8 @@ class NetworkBoot:
     # ---- the start ----
 
     def start(self) -> Procedure[BootReport]:
-        """Reset, boot and start the network; return how it went. It ends when each node is ready or has failed, and early if a
+        """Reset, boot and start the network; return how it went. It ends when each node has failed or is ready, and, if it was
+        started and is watched, has shown whether it runs (SEEN_WITHIN at most); and early if a
         mandatory node is lost again, and the reaction to that (bits 4, 6) is one for all nodes: `supervise` shows it at once.
 
         Mandatory nodes have `boot_time` to answer; all others, and without a limit all, are asked once, after the time for their
@@ -296,6 +308,7 @@ class NetworkBoot:
         member = self._members.get(node_id)
         if member is not None:
             member.boots, member.outcome, member.is_running = member.node.boots, None, False
+            member.was_reset = not member.entry.assignment.keep_alive
         return True
 
     def _boot_all(self) -> Procedure[BootReport]:
@@ -303,13 +316,14 @@ class NetworkBoot:
         until = self._begun + self.boot_time if self.boot_time else 0
         try:
             yield from all_of(*(self._first_boot(member, until) for member in self._members.values()))
+            for _ in range(ROUNDS):
+                again = [member for member in self._listed if member.is_good and member.node.boots != member.boots]
+                if not again:
+                    break
+                yield from all_of(*(self._on_boot_up(member) for member in again))
+            yield from all_of(*(self._see_all_running(member) for member in self._listed))
         except _LostAtStart:
             return (yield from act(self.report))
-        for _ in range(ROUNDS):
-            again = [member for member in self._listed if member.is_good and member.node.boots != member.boots]
-            if not again:
-                break
-            yield from all_of(*(self._on_boot_up(member) for member in again))
         return (yield from act(self.report))
 
     def _first_boot(self, member: BootingNode, until: Time) -> Procedure[None]:
@@ -317,9 +331,21 @@ class NetworkBoot:
         if assignment.is_listed and not assignment.keep_alive:
             yield from self._await_boot_up(member)
         yield from self._boot(member, self._begun, until if assignment.is_mandatory else 0)
+        yield from self._see_running(member, SEEN_WITHIN)
+        one_by_one = not self.startup.start_all  # else those that have ended here are started, and seen, later
+        yield from self._look_out(
+            member, lambda each: (each.outcome is None and not each.is_suspended) or (one_by_one and each.is_unseen)
+        )
+
+    def _see_all_running(self, member: BootingNode) -> Procedure[None]:
+        yield from self._see_running(member, SEEN_WITHIN)
+        yield from self._look_out(member, lambda each: each.is_unseen)
+
+    def _look_out(self, member: BootingNode, is_awaited: Callable[[BootingNode], bool]) -> Procedure[None]:
+        """While others are awaited, look whether a node is lost; raise _LostAtStart if that concerns all."""
         if self._reaction_to(member) not in _FOR_ALL:
             return
-        while any(each.outcome is None and not each.is_suspended for each in self._members.values()):
+        while any(is_awaited(each) for each in self._members.values()):
             if member.is_lost:
                 if not self._is_unheard(member):
                     raise _LostAtStart
@@ -336,6 +362,7 @@ class NetworkBoot:
         if member.is_suspended:
             return
         member.is_booting, member.is_running, member.is_requested, member.outcome = True, False, False, None
+        unconfirmed, member.was_reset = member.unconfirmed, False
         try:
             outcome = yield from boot_node(
                 member.node,
@@ -345,6 +372,7 @@ class NetworkBoot:
                 until=until,
                 update=self._update,
                 configure=self._configure,
+                unconfirmed=unconfirmed,
             )
         finally:
             member.is_booting = False
@@ -365,6 +393,31 @@ class NetworkBoot:
             return
         if (yield from self.commands.send(NmtCommand.START, member.node.node_id, lambda: member.may_start)):
             yield from act(member.take_start)
+
+    def _see_running(self, member: BootingNode, limit: Time = NEVER) -> Procedure[None]:
+        """See by its heartbeat, or its answer to guarding, that a node has followed its start command; send it again if it has
+        not. Not more than one task at a time does so."""
+        node, tries = member.node, 1
+        while member.is_unseen:
+            timeout = min(node.heartbeat.timeout or node.guarding.life_time, limit)
+            event = (yield Wait(timeout, node, _is_of(member), (HeartbeatReceived, *_TROUBLE))) if timeout else None
+            if not isinstance(event, HeartbeatReceived) or event.state is not NmtState.PRE_OPERATIONAL:
+                break
+            if (yield from current_time()) - member.started_at < NMT_REACTION_TIME:
+                continue
+            if tries == START_TRIES or not (yield from self._start_again(member)):
+                break
+            tries += 1
+        member.is_unseen = False
+
+    def _start_again(self, member: BootingNode) -> Procedure[bool]:
+        def is_wanted() -> bool:
+            return member.is_ready and member.is_running
+
+        sent = yield from self.commands.send(NmtCommand.START, member.node.node_id, is_wanted)
+        if sent:
+            yield from act(member.take_start)
+        return sent
 
     def _start_network(self) -> Procedure[None]:
         """Start the network, if the time for it has come. A start that is right before a pause may be wrong after it."""
@@ -446,6 +499,8 @@ class NetworkBoot:
                     yield from self._on_lost(member)
             elif member.has_come_back:
                 yield from self._reset_and_boot(member)
+            elif member.is_unseen:
+                yield from self._see_running(member)
             else:
                 learns = member.is_good and not member.is_supervised and member.entry.learns
                 sign_of_life = (HeartbeatReceived,) if learns or member.absent_since < NEVER else ()
@@ -512,7 +567,7 @@ class NetworkBoot:
     def _on_boot_up(self, member: BootingNode) -> Procedure[None]:
         """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""
         now = yield from current_time()
-        if now - member.started_at < NMT_REACTION_TIME:
+        if member.node.booted_at - member.started_at < NMT_REACTION_TIME:
             yield from self._reset_node(NmtCommand.RESET_COMMUNICATION, member.node.node_id)
             yield from self._await_boot_up(member)
         yield from self._boot(member, now)

@@ -2,7 +2,8 @@
 
     step              fails with
     assignment        A   the node is not in the network list. A node that the master is not to boot: only error control follows
-    device type       B   0x1000 is not answered. C: it is another one
+    device type       B   0x1000 is not answered. C: it is another one. A node that answers, and has not followed a reset, gets it
+                      again
     identity          D, M, N, O   0x1018:01 to :04, as far as they are expected
     NMT state         E, F   only for a node that is kept alive: no heartbeat, or no answer to guarding. If it is Operational,
                       only error control follows (outcome L); else it is reset, and its boot-up awaited
@@ -136,15 +137,16 @@ def boot_node(
     until: Time = 0,
     update: NodeHook | None = None,
     configure: NodeHook | None = None,
+    unconfirmed: NmtCommand | None = None,
 ) -> Procedure[BootOutcome]:
     """Boot a node; return how that ended. It is never started here. Faults of the node are outcomes: nothing is raised for them,
     nor for a full queue of its SDO client.
 
     until: the driver's time to which a silent node is asked again, once a second (`times.pause`) or when it boots; 0: it is asked
     once. update: replaces the node's program; without it, another program is outcome I. configure: runs after the configuration
-    of the entry.
+    of the entry. unconfirmed: a reset that the node was sent, and after which no boot-up came: if it answers, it gets it again.
     """
-    boot = _NodeBoot(node, commands, entry, times, until, update, configure)
+    boot = _NodeBoot(node, commands, entry, times, until, update, configure, unconfirmed)
     return (yield from boot.run())
 
 
@@ -188,7 +190,7 @@ class _BootedAgain(Exception):
 
 
 class _NodeBoot:
-    """A boot-up under way. boots: the node's count of boot-ups that are not news."""
+    """A boot-up under way. boots: the node's count of boot-ups that are not news. first_boots: that at the beginning."""
 
     def __init__(
         self,
@@ -199,6 +201,7 @@ class _NodeBoot:
         until: Time,
         update: NodeHook | None,
         configure: NodeHook | None,
+        unconfirmed: NmtCommand | None,
     ) -> None:
         self.node = node
         self.commands = commands
@@ -208,6 +211,8 @@ class _NodeBoot:
         self.until = until
         self.update = update
         self.configure = configure
+        self.unconfirmed = unconfirmed
+        self.first_boots = node.boots
         self.boots = 0
         self.step = BootStep.ASSIGNMENT
         self.is_updated = False
@@ -243,6 +248,8 @@ class _NodeBoot:
             yield from self._error_control()
             raise _Ended(BootLetter.READY, remark="not checked: 0x1F81 bit 2 leaves it to the application")
         yield from self._check_device_type()
+        if self.unconfirmed is not None and self.node.boots == self.first_boots:
+            yield from self._reset_again(self.unconfirmed)
         yield from self._check_identity()
         if self.assignment.keep_alive and (yield from self._is_operational()):
             yield from self._error_control()
@@ -264,6 +271,14 @@ class _NodeBoot:
         expected, found = self.entry.device_type, _number((yield from self._first_read()))
         if expected is not None and found != expected:
             raise _Ended(BootLetter.DEVICE_TYPE, (indices.DEVICE_TYPE, 0), expected, found)
+
+    def _reset_again(self, command: NmtCommand) -> Procedure[None]:
+        """Reset a node that may run as before: the command may have been lost. One that sends no boot-up is booted, too."""
+        self.unconfirmed = None
+        yield from self.commands.send(command, self.node.node_id)
+        yield from self._wait(self.times.boot_up, (NodeBooted,))
+        self.boots = self.node.boots
+        yield from self._check_device_type()
 
     def _check_identity(self) -> Procedure[None]:
         self.step = BootStep.IDENTITY

@@ -8,7 +8,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, TypeAlias
 
-from canopen_proto.abort import text_of
+from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.machine import SECOND, Event, Time
 
 Shown: TypeAlias = int | str | None
@@ -80,6 +80,17 @@ class BootStep(StrEnum):
     ERROR_CONTROL = "error control"
 
 
+_UNREAD: Final[Mapping[BootLetter, str]] = MappingProxyType(
+    {
+        BootLetter.SILENT: "refuses to tell its device type",
+        BootLetter.VENDOR: "does not tell its vendor-ID",
+        BootLetter.PRODUCT: "does not tell its product code",
+        BootLetter.REVISION: "does not tell its revision",
+        BootLetter.SERIAL_NUMBER: "does not tell its serial number",
+    }
+)
+
+
 @dataclass(frozen=True, slots=True)
 class BootOutcome:
     """How the boot-up of a node ended.
@@ -103,11 +114,18 @@ class BootOutcome:
         """Whether the node must not be started. A node that was left running (L) has not failed."""
         return self.letter.is_failure
 
+    @property
+    def meaning(self) -> str:
+        """The letter in words. One letter stands for a number that differs, and for one that could not be read: words do not."""
+        silent = self.letter is BootLetter.SILENT and self.abort_code == AbortCode.TIMED_OUT
+        unread = "" if self.abort_code is None or silent else _UNREAD.get(self.letter, "")
+        return unread or self.letter.meaning
+
     def __str__(self) -> str:
         """Return one sentence with all that is known: words first, the letter and the time at its end."""
         facts = [self._values(), "" if self.abort_code is None else f"abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"]
         seen = "; ".join(filter(None, (*facts, self.remark)))
-        outcome = f"node {self.node_id}: {self.letter.meaning}"
+        outcome = f"node {self.node_id}: {self.meaning}"
         return f"{outcome}{': ' if seen else ''}{seen} ({self.letter}, {self.elapsed / SECOND:.3g} s)"
 
     def _values(self) -> str:

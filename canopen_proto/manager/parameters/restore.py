@@ -112,7 +112,8 @@ class PlannedWrite:
 @dataclass(frozen=True, slots=True)
 class RestorePlan:
     """The writes for a node, in order. left_out: why a value is not written, by mux. equal: the number of objects that have their
-    value already. standing: the node's values before, by mux. unread: muxes that should have been read and could not be."""
+    value already. standing: the node's values before, by mux. unread: muxes that should have been read and could not be. boots:
+    how often the node had booted when it was read (`RemoteNode.boots`): a plan holds until it boots again; None: for ever."""
 
     node_id: int
     writes: tuple[PlannedWrite, ...]
@@ -120,6 +121,7 @@ class RestorePlan:
     equal: int = 0
     standing: Mapping[Mux, Value] = field(default_factory=dict)
     unread: frozenset[Mux] = frozenset()
+    boots: int | None = None
 
 
 @dataclass(slots=True)
@@ -128,7 +130,7 @@ class Restoration:
 
     written: the number of writes that were confirmed. in_doubt: the write that got no answer and may have been executed, or None.
     state_before: the node's NMT state at the start, None if it was not known. state: the state that was commanded last (None:
-    none yet). stored: whether "save" was confirmed. is_done: all went well.
+    none yet). stored: whether "save" was confirmed. store_in_doubt: it was not, but may have been executed. is_done: all is well.
     """
 
     plan: RestorePlan
@@ -137,6 +139,7 @@ class Restoration:
     state_before: NmtState | None = None
     state: NmtState | None = None
     stored: bool = False
+    store_in_doubt: bool = False
     is_done: bool = False
 
     @property
@@ -205,6 +208,7 @@ def plan_restore(
     ObjectNotFoundError or ValueRangeError, with nothing sent, for an object or a value that the dictionary does not allow;
     SdoTransferError if the device is gone.
     """
+    boots = node.boots
     roles = roles_in(dictionary, values)
     left_out = dict(download_order(dictionary, values, node.node_id).left_out)
     left_out.update({key: "skipped" for key in skip if key in values})
@@ -238,7 +242,8 @@ def plan_restore(
         variable = dictionary.variable((index, subindex))
         writes.append(PlannedWrite(variable, data, held.get(variable.mux)))
         held[variable.mux] = data
-    return RestorePlan(node.node_id, tuple(writes), left_out, len(wanted) - len(different), standing, frozenset(unread))
+    equal = len(wanted) - len(different)
+    return RestorePlan(node.node_id, tuple(writes), left_out, equal, standing, frozenset(unread), boots)
 
 
 def _concerned(dictionary: ObjectDictionary, wanted: Mapping[Mux, Value]) -> list[Variable]:
@@ -289,17 +294,21 @@ def restore(
     nmt: the NMT master of the node's network. restoration: takes the progress; a caller that may cancel keeps it. verify: read
     each object back (except write-only ones). store: make the device store its parameters at the end.
 
-    An ObjectRestored event follows for each write. Raises RestoreError; this module's text says which state the node is in then.
+    An ObjectRestored event follows for each write. Raises RestoreError, also if the node boots before it has stored: what was
+    read and written before counts no more then. This module's text says which state the node is in.
     """
     so_far = Restoration(plan) if restoration is None else restoration
     if not plan.writes and not store:
         so_far.is_done = True
         return so_far
+    boots = node.boots if plan.boots is None else plan.boots
     try:
+        _check_boots(node, boots)
         if store:
             yield from _check_store(node)
         so_far.state_before, limit = yield from _find_state(node)
         yield from _to_state(node, nmt, NmtState.PRE_OPERATIONAL, limit, so_far)
+        _check_boots(node, boots)
         for write in plan.writes:
             yield from _write(node, write, verify, so_far)
         if store:
@@ -307,6 +316,8 @@ def restore(
         if so_far.state_before not in (None, NmtState.PRE_OPERATIONAL):
             limit = yield from _heartbeat_limit(node)  # the restore may have changed it
             yield from _to_state(node, nmt, so_far.state_before, limit, so_far)
+            if not so_far.stored:
+                _check_boots(node, boots)
     except Cancelled:
         yield from _stay(node, nmt, so_far)
         raise
@@ -315,6 +326,12 @@ def restore(
         raise RestoreError(_told(node, so_far, str(failed)), so_far) from failed
     so_far.is_done = True
     return so_far
+
+
+def _check_boots(node: RemoteNode, boots: int) -> None:
+    """Raise ProcedureError if the node has booted again. While a request is open, its boot-up ends that."""
+    if node.boots != boots:
+        raise ProcedureError("it has booted since its values were read, and so lost what it had not stored. Try: the same again")
 
 
 def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restoration) -> Procedure[None]:
@@ -366,6 +383,12 @@ def _store(node: RemoteNode, so_far: Restoration) -> Procedure[None]:
     standing, node.sdo.timeout = node.sdo.timeout, max(node.sdo.timeout, STORE_TIMEOUT)
     try:
         yield from download(node.sdo, STORE, 1, SIGNATURES[STORE].to_bytes(4, "little"))
+    except Cancelled:
+        so_far.store_in_doubt = True
+        raise
+    except SdoTransferError as failed:
+        so_far.store_in_doubt = failed.not_confirmed
+        raise
     finally:
         node.sdo.timeout = standing
     so_far.stored = True

@@ -10,13 +10,13 @@ from canopen_cli.lss.support import (
     TargetKind,
     Unsigned32,
     address_text,
+    device_of,
     estimate,
     knowing,
     limited,
     node_id_text,
     open_lss,
     progress,
-    selected,
     windowed,
 )
 from canopen_cli.shared.options import Settings, command
@@ -25,7 +25,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import identity_json
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
-from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Known, Survey, all_waiting, search, survey
+from canopen_proto.lss.scan import ALL_ONES, NOTHING_KNOWN, Known, Survey, search, survey
 from canopen_proto.machine import Time
 
 COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
@@ -120,9 +120,7 @@ def inquire(settings: Settings, screen: Screen, device: LssTarget, window: Time)
 
     async def ask() -> tuple[LssAddress, int]:
         async with open_lss(settings, screen, window) as lss:
-            result = await selected(lss, device)
-            await lss.run(all_waiting(lss.tool))
-            return result
+            return await device_of(lss, device)
 
     address, node_id = run(settings, screen, ask)
     if settings.json:

@@ -22,13 +22,16 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.time_left import time_left
 from canopen_cli.shared.values import identity_json
+from canopen_master.errors import BusError
 from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.frame import ALL_NODE_IDS
-from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all
+from canopen_proto.lss.assign import found_device
+from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all, take_back
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
-from canopen_proto.lss.scan import survey
+from canopen_proto.lss.scan import Survey, survey
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.manager.scan import LISTEN, NodeFound, duration_of, scan
+from canopen_transports import TransportError
 from canopen_transports.locator import bitrate_text, parse_bitrate, parse_locator
 
 WITHOUT_RATE: Final = ("virtual", "tcp", "udp_multicast")
@@ -57,7 +60,9 @@ class Rate(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 @dataclass
 class RateChange:
     """The order. old, new: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none. delay:
-    before the switch, ns (`LssMaster.activate_bit_timing`). store: let the devices store the new one."""
+    before the switch, ns (`LssMaster.activate_bit_timing`). store: let the devices store the new one.
+
+    story: what has become of the devices so far, for an interruption."""
 
     old: int
     new: int
@@ -65,6 +70,12 @@ class RateChange:
     command: str
     delay: Time
     store: bool
+    story: str = "nothing was switched"
+
+    @property
+    def way_back(self) -> str:
+        """What brings the old bit rate back, whatever was switched."""
+        return f"nothing was stored: power off and on brings {self.old} kbit/s back"
 
     @property
     def back(self) -> RateChange:
@@ -107,7 +118,7 @@ def set_bitrate(
         async with open_lss(settings, screen, window) as lss:
             return await _devices(lss, screen)
 
-    addresses = run(settings, screen, prepare_all)
+    addresses = run(settings, screen, prepare_all, story=lambda confirmed: [change.story])
     _show(screen, change, addresses)
     if settings.dry_run:
         screen.say("dry run: nothing was written")
@@ -119,13 +130,17 @@ def set_bitrate(
         await _switch(settings, screen, change, addresses, window)
         return await _check(settings, screen, change, addresses, window)
 
-    failed = run(settings, screen, carry_out)
+    try:
+        failed = run(settings, screen, carry_out, story=lambda confirmed: [change.story])
+    except (BusError, TransportError) as lost:
+        lost.add_note(change.story)
+        raise
     _tell_json(settings, screen, change, addresses, failed)
     if failed:
         seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in failed)
         raise CommandError(
-            ExitCode.PARTIAL, "CO212", f"{counted(len(failed), 'device')} did not store the new bit rate, which is in use",
-            seen=seen, tries=("canopen lss store NODE", "power off and on: these have the old one again"),
+            ExitCode.PARTIAL, "CO212", f"{counted(len(failed), 'device')} did not confirm that they stored the new bit rate",
+            seen=seen, tries=("canopen lss store NODE", "after power off and on look at each: it may have the old one again"),
         )  # fmt: skip
     screen.say(f"{counted(len(addresses), 'device')} at {rate} kbit/s. Open the bus as {escape(change.locators[1])} from now on")
 
@@ -155,15 +170,21 @@ async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
     async with time_left(screen, "asking all node-IDs", duration_of(len(ALL_NODE_IDS), listen=LISTEN) / SECOND):
         found: list[NodeFound] = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
     async with progress(lss, screen, (None, None, None, None)):
-        without = (await lss.run(survey(lss.tool, lss.pace))).found
+        surveyed: Survey = await lss.run(survey(lss.tool, lss.pace))
     by_node = {node.node_id: LssAddress(*(number or 0 for number in node.identity)) for node in found}
-    addresses: list[LssAddress] = [*by_node.values(), *without]
+    nodes = list(by_node.values())
+    for each in set(nodes).intersection(surveyed.found):  # Lely's take part in a fastscan with a node-ID, too: is it one device?
+        await lss.run(found_device(lss.tool, lss.pace, each))
+    addresses = [*nodes, *(each for each in surveyed.found if each not in nodes)]
     absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
-    if absent or not addresses or len(set(addresses)) < len(addresses):
+    if absent or not addresses or len(set(addresses)) < len(addresses) or surveyed.again is not None:
         names = [f"node {node_id} ({address_text(each)})" for node_id, each in by_node.items() if each in absent]
-        seen = (
-            f"not selected: {', '.join(names)}" if names else "two have the same address" if addresses else "no device was found"
-        )
+        if names:
+            seen = f"not selected: {', '.join(names)}"
+        elif surveyed.again is not None:
+            seen = f"{address_text(surveyed.again)} takes part in the fastscan though it is selected, and may hide others"
+        else:
+            seen = "two have the same address" if addresses else "no device was found"
         raise CommandError(
             ExitCode.NO_ANSWER, "CO211", "not every device of the bus can be reached by LSS; nothing was written", seen=seen,
             tries=("switch off what does not know LSS, and set its bit rate by hand",),
@@ -210,11 +231,13 @@ async def _switch(settings: Settings, screen: Screen, change: RateChange, addres
             raise CommandError(
                 ExitCode.PARTIAL, "CO212", f"not every device takes {change.new} kbit/s; nothing was switched", seen=seen
             )
+        change.story = f"the devices may be at {change.new} kbit/s already, and our interface perhaps is not; {change.way_back}"
         async with time_left(screen, "silent before the switch", change.delay / SECOND):
             await lss.run(activate(lss.tool, change.delay))
     started = trio.current_time()
     if change.command:
         await _run_command(change)
+    change.story = f"the devices were switched to {change.new} kbit/s, and our interface too; {change.way_back}"
     settings.bus = change.locators[1]
     rest = max(0.0, change.delay / SECOND - (trio.current_time() - started))
     async with time_left(screen, "silent behind the switch", rest):
@@ -246,16 +269,26 @@ async def _check(
     async with open_lss(settings, screen, window) as lss:
         absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
         if not absent:
-            return (await lss.run(store_all(lss.tool, lss.pace, addresses))) if change.store else []
+            if not change.store:
+                return []
+            change.story = f"the devices are at {change.new} kbit/s; perhaps not all have stored it: canopen lss store, for each"
+            failed: list[Refusal] = await lss.run(store_all(lss.tool, lss.pace, addresses))
+            return failed
     screen.say(f"[yellow]{counted(len(absent), 'device')} missing at {change.new} kbit/s: back to {change.old}[/]")
     back = [each for each in addresses if each not in absent]
+    change.story = f"some devices are at {change.new} kbit/s, others at {change.old}; {change.way_back}"
     if back:
-        await _switch(settings, screen, change.back, back, window)
+        try:
+            await _switch(settings, screen, change.back, back, window)
+        except CommandError as refused:
+            refused.also = [*refused.also, change.story]
+            raise
     elif change.command:
         await _run_command(change.back)
     settings.bus = change.locators[0]
     async with open_lss(settings, screen, window) as lss:
         lost: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+        await lss.run(take_back(lss.tool, lss.pace, change.old))  # those that missed the switch have the new one pending
     seen = f"at {change.new} kbit/s nothing from {', '.join(map(address_text, absent))}; "
     seen += f"back at {change.old} kbit/s, {'all are there' if not lost else 'missing: ' + ', '.join(map(address_text, lost))}"
     raise CommandError(

@@ -15,6 +15,7 @@ from canopen_cli.lss.support import (
     LssTarget,
     TargetKind,
     address_text,
+    device_of,
     estimate,
     knowing,
     limited,
@@ -22,7 +23,6 @@ from canopen_cli.lss.support import (
     number_of,
     open_lss,
     progress,
-    selected,
     windowed,
 )
 from canopen_cli.shared.dry_run import run_or_show
@@ -46,7 +46,8 @@ from canopen_proto.lss.assign import (
     nodes_there,
 )
 from canopen_proto.lss.bit_rate import store_all
-from canopen_proto.lss.scan import Known, all_waiting
+from canopen_proto.lss.messages import LssAddress
+from canopen_proto.lss.scan import Known
 from canopen_proto.machine import Time
 
 GO_ON: Final = "the same command again: it goes on with those that are left"
@@ -77,20 +78,27 @@ def set_id(settings: Settings, screen: Screen, device: LssTarget, node_id: int, 
         needed=not settings.dry_run,
     )
 
+    begun: list[LssAddress] = []
+
+    def story(confirmed: bool) -> list[str]:
+        if not begun:
+            return ["nothing was written"]
+        return [f"the device may have the new node-ID, now or after its next reset: canopen lss inquire {address_text(begun[0])}"]
+
     async def change() -> Given:
         async with open_lss(settings, screen, window) as lss:
-            address, present = await selected(lss, device)
-            await lss.run(all_waiting(lss.tool))
+            address, present = await device_of(lss, device)
             if present != node_id and node_id in await lss.run(nodes_there(lss.tool, [node_id])):
                 raise usage(
                     "CO123", f"another node has the node-ID {node_id}", seen="nothing was written",
                     tries=("canopen scan    (which are free?)",),
                 )  # fmt: skip
             screen.say(f"{escape(address_text(address))}: node-ID {node_id_text(present)}")
+            begun.append(address)
             given: Given = await lss.run(give(lss.tool, lss.pace, address, node_id, present=present, store=not no_store))
             return given
 
-    _show(settings, screen, [run_or_show(settings, screen, change)])
+    _show(settings, screen, [run_or_show(settings, screen, change, story=story)])
 
 
 @command()
@@ -109,11 +117,11 @@ def store(settings: Settings, screen: Screen, device: LssTarget, yes: bool, wind
 
     async def keep() -> None:
         async with open_lss(settings, screen, window) as lss:
-            address, node_id = await selected(lss, device)
+            address, node_id = await device_of(lss, device)
             failed = await lss.run(store_all(lss.tool, lss.pace, [address]))
             if failed:
                 raise CommandError(
-                    ExitCode.PARTIAL, "CO212", f"{address_text(address)} has stored nothing", seen=failed[0].remark
+                    ExitCode.PARTIAL, "CO212", f"{address_text(address)} has not confirmed that it stored", seen=failed[0].remark
                 )
             screen.say(f"{escape(address_text(address))}: stored, node-ID {node_id_text(node_id)}")
             if settings.json and not settings.dry_run:
@@ -166,7 +174,7 @@ def assign(
     async def give_all() -> LssAssignment:
         async with open_lss(settings, screen, window, limit) as lss:
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
-            assignment = LssAssignment(lss.tool, choose, lss.pace, known, not no_store)
+            assignment = LssAssignment(lss.tool, choose, lss.pace, known, not no_store, done)
             await _assign(lss, screen, questions, assignment, is_rehearsal=settings.dry_run)
             given = {each.node_id for each in assignment.done}
             wanted = [node_id for _, node_id in rows if node_id not in given]
@@ -175,13 +183,14 @@ def assign(
             return assignment
 
     absent: list[int] = []
+    done: list[Given] = []
     if settings.dry_run:
         result = show_unsent(settings, screen, give_all)
         given = ", ".join(f"{each.node_id} to {address_text(each.address)}" for each in result.done)
         screen.say(f"would give {counted(len(result.done), 'node-ID')}{f': {escape(given)}' if given else ''}")
         screen.say("two devices with one address would show only once the first has its node-ID")
     else:
-        result = run(settings, screen, give_all)
+        result = run(settings, screen, give_all, story=lambda confirmed: [*map(_line, done), GO_ON])
     for address, why in result.left.items():
         screen.say(f"[yellow]{escape(address_text(address))} is left alone: {escape(why)}[/]")
     if result.remark:
@@ -222,7 +231,7 @@ async def _assign(lss: Lss, screen: Screen, questions: Questions, assignment: Ls
             continue
         for planned in plan:
             (given,) = await lss.run(assignment.write([planned]))
-            screen.say(f"{_line(given)}")
+            screen.say(escape(_line(given)) if given.is_complete else f"[yellow]{escape(_line(given))}[/]")
             screen.say(f"[dim]{counted(len(assignment.done), 'device')} so far, in {trio.current_time() - begun:.1f} s[/]")
         if is_rehearsal:
             assignment.put_aside(plan)
@@ -255,9 +264,9 @@ def _bad_table(failed: str, seen: str = "") -> CommandError:
 
 
 def _line(given: Given) -> str:
-    state = "ready" if given.is_complete else "[yellow]not ready[/]"
-    why = f": {escape(given.remark)}" if given.remark else ""
-    return f"{escape(address_text(given.address))}: node-ID {given.node_id}, {state}{why}"
+    state = "ready" if given.is_complete else "not ready"
+    why = f": {given.remark}" if given.remark else ""
+    return f"{address_text(given.address)}: node-ID {given.node_id}, {state}{why}"
 
 
 def _show(settings: Settings, screen: Screen, done: Sequence[Given]) -> None:

@@ -17,9 +17,9 @@ from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_proto import indices
-from canopen_proto.lss.assign import LssNotSelectedError, own_node_id, select_only
+from canopen_proto.lss.assign import LssNotSelectedError, found_device
 from canopen_proto.lss.master import WINDOW
-from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssState
+from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
 from canopen_proto.lss.scan import (
     DEVICE_LIMIT,
     NUMBERS,
@@ -29,12 +29,10 @@ from canopen_proto.lss.scan import (
     LssProgress,
     LssTool,
     Pace,
-    all_waiting,
     duration_of,
-    identity_of_selected,
 )
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.steps import Procedure, act
+from canopen_proto.procedures.steps import Procedure
 
 ONLY: Final = "only"
 MAX_TEXT: Final = 0xFFFF_FFFF
@@ -176,29 +174,14 @@ def node_id_text(node_id: int) -> str:
     return "none" if node_id == UNCONFIGURED else str(node_id)
 
 
-async def selected(lss: Lss, target: LssTarget) -> tuple[LssAddress, int]:
-    """Select one device; return its address and node-ID. Nothing else is selected then. Raises a CommandError."""
+async def device_of(lss: Lss, target: LssTarget) -> tuple[LssAddress, int]:
+    """Return address and node-ID of a device. No device is selected then, however it ends. Raises a CommandError."""
     if target.node_id is not None:
         node = lss.session.node(target.node_id)
         numbers = [int.from_bytes(await node.read_bytes(indices.IDENTITY_OBJECT, each), "little") for each in (1, 2, 3, 4)]
         target = LssTarget(LssAddress(*numbers))
-    address = target.address
-    if address is None:
-        address = await lss.run(_only_device(lss.tool, lss.pace))
-    await lss.run(select_only(lss.tool, lss.pace, address))
-    node_id: int = await lss.run(own_node_id(lss.tool, lss.pace))
-    return address, node_id
-
-
-def _only_device(tool: LssTool, pace: Pace) -> Procedure[LssAddress]:
-    yield from all_waiting(tool)
-    yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
-    numbers = yield from identity_of_selected(tool, pace)
-    yield from all_waiting(tool)
-    if not all(len(given) == 1 for given in numbers):
-        seen = "nobody answers" if not any(numbers) else "several devices answer, or not all of its numbers came"
-        raise LssNotSelectedError(f"there is not exactly one device with LSS on the bus: {seen}")
-    return LssAddress(*(given.pop() for given in numbers))
+    found: tuple[LssAddress, int] = await lss.run(found_device(lss.tool, lss.pace, target.address))
+    return found
 
 
 def estimate(pace: Pace, known: Known) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +20,7 @@ from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_error, run, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.withholding import show_unsent
+from canopen_master.claims.channel_claim import state_claim
 from canopen_master.machine_file.boot_entries import BusNetwork
 from canopen_master.network_booting import network_boot
 from canopen_master.participant.subscription import Subscription
@@ -151,7 +152,13 @@ async def _opened(
 ) -> AsyncIterator[OpenNetwork]:
     """Open the buses, and tell events of their nodes while the block runs, and at its end those that came last."""
     chosen = booted.chosen
-    async with first_error(), open_network(settings, screen, chosen) as opened, trio.open_nursery() as nursery:
+    async with AsyncExitStack() as stack:
+        if not settings.dry_run:
+            for network in chosen.networks:
+                await stack.enter_async_context(state_claim(chosen.locators[network.bus], network.names))
+        await stack.enter_async_context(first_error())
+        opened = await stack.enter_async_context(open_network(settings, screen, chosen))
+        nursery = await stack.enter_async_context(trio.open_nursery())
         heard: list[tuple[BusNetwork, Subscription[Any]]] = []
         for network in chosen.networks:
             booted.boots[network.bus] = network_boot(opened.master, chosen.machine, network, chosen.dictionaries)
@@ -262,7 +269,7 @@ def _as_json(outcome: BootOutcome) -> dict[str, Any]:
     return {
         "node": outcome.node_id,
         "letter": outcome.letter.value,
-        "meaning": outcome.letter.meaning,
+        "meaning": outcome.meaning,
         "failed": outcome.is_failure,
         "step": outcome.step.value,
         "index": None if outcome.object is None else outcome.object[0],
@@ -290,7 +297,7 @@ def _show(settings: Settings, screen: Screen, booted: Booted) -> None:
                 }
             )  # fmt: skip
             style = "" if row.state.is_good else "[red]"
-            result = "" if outcome is None else f"{style}{escape(outcome.letter.meaning)}{'[/]' if style else ''}"
+            result = "" if outcome is None else f"{style}{escape(outcome.meaning)}{'[/]' if style else ''}"
             code, seconds = ("", "") if outcome is None else (str(outcome.letter), f"{outcome.elapsed / SECOND:.3f}")
             cells = (escape(row.bus), str(row.node_id), escape(name), result, code, seconds, escape(row.state))
             shown.append(dict(zip(COLUMNS, cells, strict=True)))

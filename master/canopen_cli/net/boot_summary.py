@@ -44,6 +44,7 @@ class NodeState(StrEnum):
 
     RUNNING = "running"
     UNWATCHED = "was started, and is not supervised, so whether it still runs is not known"
+    IDLE = "was started, and shows that it does not run"
     READY = "ready, not started"
     FAILED = "failed"
     RUNS_ON = "failed, and runs on: it is kept alive"
@@ -59,6 +60,7 @@ class NodeState(StrEnum):
 
 
 _SHORT: Final = {
+    NodeState.IDLE: "started and not running",
     NodeState.READY: "ready and not started",
     NodeState.FAILED: "failed",
     NodeState.RUNS_ON: "failed and runs on, since it is kept alive",
@@ -94,7 +96,7 @@ class NodeRow:
     @property
     def text(self) -> str:
         """All that is known, in one line."""
-        if self.outcome is not None and not self.state.is_good and self.state is not NodeState.GONE:
+        if self.outcome is not None and not self.state.is_good and self.state not in (NodeState.GONE, NodeState.IDLE):
             return f"{self.place}: {self.outcome}"
         return f"{self.place}: {self.state}"
 
@@ -119,6 +121,8 @@ def _state(report: BootReport, node_id: int, stopped: bool) -> NodeState:
         return NodeState.STOPPED
     if node_id in report.running:
         return NodeState.UNWATCHED if node_id in report.unsupervised else NodeState.RUNNING
+    if node_id in report.idle:
+        return NodeState.IDLE
     if outcome is None:
         return NodeState.UNFINISHED
     return NodeState.FAILED if outcome.is_failure else NodeState.READY
@@ -149,6 +153,8 @@ def problem_of(rows: Sequence[NodeRow], startup: Startup) -> CommandError | None
     missing = [row for row in bad if row.is_mandatory]
     first = min(missing or bad, key=lambda row: (not row.is_silent, row.outcome is None))
     advice = _NEXT.get(first.outcome.letter, "canopen net check") if first.outcome is not None else "canopen net check"
+    if first.state is NodeState.IDLE:
+        advice = f"canopen nmt start {first.node_id}    (if no other master has stopped it)"
     if not missing:
         what = f"{counted(len(bad), 'node')} not ready ({_names(bad)}): {tally(rows)}"
         return CommandError(ExitCode.PARTIAL, "CO216", what, seen=first.text, tries=(advice,), node=first.node_id)

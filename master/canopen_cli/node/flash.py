@@ -181,7 +181,11 @@ def story(so_far: ProgramDownload) -> list[str]:
 async def _flash(
     settings: Settings, screen: Screen, questions: Questions, wanted: ProgramToFlash, so_far: ProgramDownload
 ) -> None:
-    async with open_session(settings, screen) as session, session.claim_to_write(wanted.node_id):
+    async with (
+        open_session(settings, screen) as session,
+        session.claim_to_write(wanted.node_id),
+        session.claim_state(wanted.node_id),
+    ):
         node, nmt = session.node(wanted.node_id).remote, session.master.nmt_master(session.master.bus())
         found = await session.master.run(look(node, wanted.program))
         if not settings.json:

@@ -114,7 +114,8 @@ def story(so_far: Sequence[Restoration]) -> list[str]:
     if found.pdos_off:
         lines.append(f"PDOs left disabled: {_places(found.pdos_off)}")
     if not found.open:
-        lines.append("all of it is written" + (", and stored" if found.stored else ""))
+        stored = ", and perhaps stored" if found.store_in_doubt else ", and stored" if found.stored else ""
+        lines.append(f"all of it is written{stored}")
     lines.append(f"{node_text(found.plan.node_id)} stays Pre-operational")
     return lines
 

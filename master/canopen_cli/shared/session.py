@@ -17,7 +17,7 @@ from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import Screen, escape
-from canopen_master.claims.channel_claim import SHORT, channel_claim
+from canopen_master.claims.channel_claim import SHORT, channel_claim, state_claim
 from canopen_master.claims.further_channels import FurtherChannels
 from canopen_master.errors import NO_ANSWER, SdoTimeoutError
 from canopen_master.master import Master
@@ -76,6 +76,10 @@ class BusSession:
     def claim_to_write(self, node_id: int) -> AbstractAsyncContextManager[None]:
         """Have a node without other programs of ours, to write to it; see channel_claim.py. Raises ChannelTakenError."""
         return channel_claim(self.bus, node_id, writes=True)
+
+    def claim_state(self, node_id: int) -> AbstractAsyncContextManager[None]:
+        """Have the NMT state of a node: no other program of ours resets or starts it. Raises ChannelTakenError."""
+        return state_claim(self.bus, [node_id])
 
     def turn(self, node_id: int) -> AbstractAsyncContextManager[None]:
         """Have an SDO channel of a node for a few reads, behind a long transfer of another program. Raises ChannelTakenError."""

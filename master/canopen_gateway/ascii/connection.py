@@ -346,7 +346,11 @@ class AsciiConnection:
 
     async def lss_set_node(self, request: GatewayRequest) -> None:
         node_id, settings = _new_node_id(request), self._lss(request, selected=True)
-        _check_lss(await settings.command("lss_set_node", lambda lss, now: lss.configure_node_id(node_id, now)))
+        reply = await settings.command("lss_set_node", lambda lss, now: lss.configure_node_id(node_id, now))
+        _check_lss(reply)
+        if reply.count > 1 and node_id != UNCONFIGURED:
+            text = f"{reply.count} devices have taken it, for their next reset: lss_switch_sel selects one"
+            raise _Refusal(GatewayCode.INTERNAL_STATE, text)
 
     async def lss_configure_bit_rate(self, request: GatewayRequest) -> None:
         table, index = request.numbers

@@ -12,6 +12,10 @@ first channel, then the node for writing, and waits until the readers on further
 before and after a restore, and nobody asks a device that is being reset. Each side takes its claim first, and looks for that of
 the other side then: both cannot miss each other.
 
+A program that looks after nodes (`canopen net boot`, `net watch`) would reset and start one while it gets another program, and
+two of them would reset each other's nodes. So each of these, and a program download, claims the NMT state of its nodes
+(`state_claim`): one program at a time. Nothing else is kept from such a node.
+
 A claim is an abstract Unix socket with the name of bus, node and channel. Two programs cannot have the same, and the kernel takes
 it back when the process ends, however it ends. It belongs to the network namespace, as a SocketCAN interface does. The kernel
 also says which process has it (SO_PEERCRED), and /proc tells its command.
@@ -24,8 +28,8 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, closing
+from collections.abc import AsyncIterator, Iterable
+from contextlib import ExitStack, asynccontextmanager, closing
 from pathlib import Path
 from typing import Final
 
@@ -44,6 +48,7 @@ SHORT: Final = 2.0
 LOOK_AGAIN: Final = 0.05
 FIRST: Final = ""
 WRITING: Final = "/writing"
+NMT_STATE: Final = "/nmt"
 _CREDENTIALS: Final = struct.Struct("3i")
 """pid, uid, gid: `struct ucred` of unix(7)."""
 _ASKERS: Final = 128
@@ -59,7 +64,7 @@ class ChannelTakenError(NodeError):
 
 
 class _Claims:
-    """The claims that this program has on a node. A part is FIRST, WRITING, or the index of a further channel."""
+    """The claims that this program has on a node. A part is FIRST, WRITING, NMT_STATE, or the index of a further channel."""
 
     def __init__(self, name: bytes) -> None:
         """name: of bus and node."""
@@ -147,6 +152,27 @@ async def channel_claim(
                 further.leave()
 
 
+@asynccontextmanager
+async def state_claim(locator: str, node_ids: Iterable[int], patience: float = SHORT) -> AsyncIterator[None]:
+    """Have the NMT states of nodes for as long as the block runs. locator: of their bus. patience: seconds.
+
+    Raises ChannelTakenError if another program has that of one of them for longer than that. Does nothing where there is nothing
+    to claim.
+    """
+    until = current_loop().current_time() + patience
+    with ExitStack() as stack:
+        for node_id in node_ids:
+            name = _name_of(locator, node_id)
+            if name is None:
+                continue
+            claims = stack.enter_context(closing(_Claims(name)))
+            while not claims.take(NMT_STATE):
+                if current_loop().current_time() >= until:
+                    raise _state_taken(locator, node_id, claims.holder(NMT_STATE))
+                await current_loop().sleep(LOOK_AGAIN)
+        yield
+
+
 async def _blocked(claims: _Claims, writes: bool, further: FurtherChannels | None) -> str | None:
     """Try to have a channel. Returns the part that another program has; None if we have what we want."""
     if claims.take(FIRST):
@@ -180,6 +206,18 @@ def _taken(locator: str, node_id: int, patience: float, holder: str, further: Fu
         f"another program uses the SDO channel of node {node_id} on {locator}; nothing was sent over it",
         seen=seen,
         cause="two transfers at once on one channel disturb each other",
+        tries=("wait until it is done, and give the same command again", "end it"),
+    )
+
+
+def _state_taken(locator: str, node_id: int, holder: str) -> ChannelTakenError:
+    return ChannelTakenError(
+        CHANNEL_TAKEN,
+        node_id,
+        locator,
+        f"another program resets and starts node {node_id} on {locator}, or writes a program into it; nothing was sent to it",
+        seen=holder,
+        cause="a reset in the middle leaves a device without a program; two masters undo what each other does",
         tries=("wait until it is done, and give the same command again", "end it"),
     )
 
