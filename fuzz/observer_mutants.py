@@ -21,7 +21,9 @@ _OBSERVER: Final = "observer/observer.py"
 LOSSES: Final = ("tests/cli/test_log_losses.py",)
 BUSES: Final = ("tests/cli/test_log_buses.py",)
 CAPTURES: Final = ("tests/transports/test_capture_files.py",)
+WORLD: Final = ("tests/testing/test_world.py",)
 
+_PATTERNS: Final = "testing/patterns.py"
 _RECORD: Final = "canopen_transports/record.py"
 _CAPTURES: Final = "canopen_transports/capture_files.py"
 _LIVE: Final = "canopen_cli/live"
@@ -58,8 +60,8 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "observer_pause_accuses_all",
             _OBSERVER,
-            "        if len(silent) > 1:\n",
-            "        if len(silent) > 127:\n",
+            "        if len(silent) > 1 and not",
+            "        if len(silent) > 127 and not",
             "a recorder that stood still makes each node late",
             GAPS,
         ),
@@ -134,6 +136,47 @@ OBSERVER_MUTANTS: Final = tuple(
             "    if count < 0:\n",
             "the recorder's own number of lost packets is passed over",
             CAPTURES,
+        ),
+        # ---- the judge of a test ----
+        (
+            "judge_pause_excuses",
+            _OBSERVER,
+            "        if len(silent) > 1 and not self._is_exact:\n",
+            "        if len(silent) > 1:\n",
+            "in a test, two devices that fall silent together are a gap of a recorder that is not there",
+            WORLD,
+        ),
+        (
+            "pattern_is_as_typed",
+            _PATTERNS,
+            'return Pattern("frame", text=str(Frame.parse(text)))',
+            'Frame.parse(text)\n    return Pattern("frame", text=text.upper())',
+            'never("123#11.22") holds whatever comes',
+            WORLD,
+        ),
+        (
+            "pattern_whole_is_beginning",
+            _PATTERNS,
+            "    return str(frame) == pattern.text\n",
+            "    return str(frame).startswith(pattern.text)\n",
+            "a frame with further bytes passes for the one that was meant",
+            WORLD,
+        ),
+        (
+            "pattern_needs_a_size",
+            _PATTERNS,
+            "if data[0] & SIZE_BIT else bool(wanted) and written.startswith(wanted)",
+            "if data[0] & SIZE_BIT else False",
+            "never(sdo_write(...)) holds for a write that does not say its size",
+            WORLD,
+        ),
+        (
+            "seen_needs_one_frame",
+            "testing/seen.py",
+            "            fits = is_of_many and (",
+            "            fits = is_of_many and len(settled.data) > 4 and (",
+            "never(sdo_write(...)) holds for a short value that is written in segments",
+            WORLD,
         ),
         # ---- a clock that was set, and two buses in one recording ----
         (

@@ -128,8 +128,9 @@ class Observer:
 
     dictionary_of: returns the dictionary of a node-ID, or None. bitrate: bit/s; 0 if it is not known: then no look at the load.
     drives: nodes of which it is known otherwise that they are drives: PDOs.csv may describe their PDOs (pdo.py). load_limit:
-    share of the bit rate, 0 to 1, above which the load is a finding. exact: the times are those of the bus itself, as in a
-    simulation whose frames take no time; else frames that come closer than any bus brings them were queued (AT_ONCE).
+    share of the bit rate, 0 to 1, above which the load is a finding. exact: all frames are there, with the times of the bus
+    itself, as in a simulation whose frames take no time; else frames that come closer than any bus brings them were queued
+    (AT_ONCE), and a pause of the whole bus may be one of the recorder.
     """
 
     def __init__(
@@ -202,10 +203,10 @@ class Observer:
         """Tell what has not come in time. found: takes the findings.
 
         Where several nodes became late while no frame was heard at all, that is one cause, and none of them is to blame: the
-        recorder stood still, its cable was off, or its clock was set.
+        recorder stood still, its cable was off, or its clock was set. A simulation has no recorder.
         """
         silent = self._nodes.silent_in_pause(now) | self._timings.silent_in_pause(now)
-        if len(silent) > 1:
+        if len(silent) > 1 and not self._is_exact:
             pause, names = duration_text(now - self._heard), ", ".join(map(str, sorted(silent)))
             self._gaps.missing(0, f"no frame at all for {pause}, and nodes {names} were due", now, found)
             self._not_heard(now)
