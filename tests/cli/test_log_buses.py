@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from pathlib import Path
+from typing import cast
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from canopen_cli.live.frame_lines import Buses
+from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.problem import ExitCode
+from canopen_proto.machine import MILLISECOND
 from canopen_transports.log_files import LogReader
+from canopen_transports.record import Record
 from tests.cli.cli_support import Run, runner_in_folder
+from tests.examples import examples
+from tests.observer.observer_sessions import CLEAN, OF_THE_RECORDER, clean, damaged
 
 READ = "({0}.1) {1} 605#4041600000000000 T\n({0}.101) {1} 585#4B416000{2}020000 R\n"
 BOTH = "".join(
@@ -79,3 +89,46 @@ def test_frames_of_two_buses_are_never_sent_to_one(run: Run) -> None:
     ]
     assert run("log", "replay", "both.log", "-b", "virtual:x", "--channel", "can7").status == ExitCode.USAGE
     assert run("log", "replay", "one.log", "-b", "virtual:x").status == ExitCode.OK
+
+
+class NoFiles:
+    """Nothing is known of the nodes."""
+
+    def dictionary_of(self, node_id: int) -> None:
+        return None
+
+
+def told(records: list[Record]) -> dict[str, list[tuple[str, int, bool]]]:
+    """What is found, by bus."""
+    buses, found = Buses(cast("NodeFiles", NoFiles())), dict[str, list[tuple[str, int, bool]]]()
+    for record in records:
+        for each in buses.observe(record)[1].findings:
+            found.setdefault(record.channel, []).append((each.rule, each.node_id, each.is_certain))
+    return found
+
+
+def recorded(number: int, seed: int, channel: str) -> list[Record]:
+    return [Record(at, channel, frame) for at, frame in damaged(clean(number), seed)]
+
+
+sessions = st.tuples(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
+
+
+@given(sessions, sessions)
+@examples(100)
+def test_each_of_two_buses_is_understood_as_if_it_were_alone(one: tuple[int, int], other: tuple[int, int]) -> None:
+    first, second = recorded(*one, "can0"), recorded(*other, "can1")
+    alone = told(first) | told(second)
+    assert told(sorted(first + second, key=lambda record: record.time)) == alone, "one beside the other"
+    assert told(first + second) == alone, "one behind the other"
+
+
+@given(sessions, st.integers(1, 10**6), st.integers(1001, 10**7))
+@examples(100)
+def test_a_clock_that_is_set_back_accuses_nobody(session: tuple[int, int], place: int, back: int) -> None:
+    """back: ms."""
+    records = recorded(*session, "can0")
+    place %= len(records)
+    moved = [record._replace(time=record.time - back * MILLISECOND) for record in records[place:]]
+    before, found = (Counter(told(each).get("can0", [])) for each in (records, records[:place] + moved))
+    assert [each for each in found - before if each[0] not in OF_THE_RECORDER] == []
