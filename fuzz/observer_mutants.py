@@ -114,6 +114,14 @@ OBSERVER_MUTANTS: Final = tuple(
             LOSSES,
         ),
         (
+            "record_overwrites",
+            f"{_LIVE}/log_record.py",
+            "        while path.exists():\n",
+            "        while number > 9:\n",
+            "the hour that comes twice at the end of summer time takes the place of the first one",
+            ("tests/cli/test_log_data.py",),
+        ),
+        (
             "convert_hides_overruns",
             f"{_LIVE}/log.py",
             "                    writer.lost(record.time, record.channel)\n",

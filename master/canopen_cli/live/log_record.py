@@ -143,8 +143,7 @@ class _Files:
         self.close()
         path = self._target
         if self._rotate is not None:
-            moment = datetime.datetime.fromtimestamp(time / SECOND)
-            path = self._target.with_stem(f"{self._target.stem}-{moment.strftime(NAMED)}")
+            path = self._new_path(f"{self._target.stem}-{datetime.datetime.fromtimestamp(time / SECOND).strftime(NAMED)}")
             self._ends = time + self._rotate
         self._writer = log_writer(path)
         self.written.append(path)
@@ -152,6 +151,14 @@ class _Files:
             with suppress(OSError):  # somebody else has taken it away
                 self.written[0].unlink()
             del self.written[0]
+
+    def _new_path(self, stem: str) -> Path:
+        """Return a path where there is no file yet: an hour may come twice, as at the end of summer time."""
+        path, number = self._target.with_stem(stem), 1
+        while path.exists():
+            number += 1
+            path = self._target.with_stem(f"{stem}-{number}")
+        return path
 
     def close(self) -> None:
         """End the present file."""
