@@ -198,8 +198,8 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "clock_of_all_buses",
             f"{_LIVE}/clocks.py",
-            "        return clock.set(time)\n",
-            "        return next(iter(self._clocks.values())).set(time)\n",
+            "        now = clock.set(time)\n",
+            "        clock = next(iter(self._clocks.values()))\n        now = clock.set(time)\n",
             "two recordings of one hour behind each other are two hours",
             LOSSES,
         ),

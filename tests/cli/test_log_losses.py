@@ -169,3 +169,16 @@ def test_a_replay_keeps_its_pace_where_the_clock_went_back(run: Run, command: tu
     times = [record.time for record in LogReader(Path("sent.log"))]
     assert len(times) == 80
     assert (times[-1] - times[0]) / 1e9 == pytest.approx(3.9, abs=0.15)
+
+
+def test_who_waits_for_emergencies_is_told_that_none_can_come(run: Run, scripted: Any) -> None:
+    """A bus that is down has no errors to tell, and a frame that was lost may have been one."""
+    emergency = Frame.parse("085#1081010000000000"), None
+    away = BusStateChanged("virtual:x", BusState.DOWN, "unplugged")
+    scripted(emergency, ReceiveOverrun("virtual:x", 3, "too slow"), away, None, emergency)
+    outcome = run("emcy", "watch", "-b", "virtual:x", "--for", "7s")
+    assert len(outcome.out.splitlines()) == 2
+    assert "3 received frames lost on virtual:x: too slow" in outcome.err
+    assert "virtual:x: down: unplugged" in outcome.err
+    Path("a.log").write_text("(1.0) can0 085#1081010000000000\n" + OVERRUN.format("1.5") + "(1.6) can0 085#0000000000000000\n")
+    assert "the controller of the recorder was overrun" in run("emcy", "watch", "--log", "a.log").err

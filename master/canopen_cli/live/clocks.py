@@ -16,9 +16,13 @@ def trio_now() -> Time:
 
 
 class RecordClocks:
-    """The clocks of the buses in a recording: each has its own, as two recordings of one hour may stand one behind the other."""
+    """The clocks of the buses in a recording: each has its own, as two recordings of one hour may stand one behind the other.
+
+    jumps: how often the clock of a bus went back: the most of all.
+    """
 
     def __init__(self) -> None:
+        self.jumps = 0
         self._clocks: dict[str, RecordClock] = {}
 
     def set(self, channel: str, time: Time) -> Time:
@@ -26,12 +30,9 @@ class RecordClocks:
         clock = self._clocks.get(channel)
         if clock is None:
             clock = self._clocks[channel] = RecordClock()
-        return clock.set(time)
-
-    @property
-    def jumps(self) -> int:
-        """How often the clock of a bus went back: the most of all."""
-        return max((each.jumps for each in self._clocks.values()), default=0)
+        now = clock.set(time)
+        self.jumps = max(self.jumps, clock.jumps)
+        return now
 
 
 class FrameClock(RecordClock):
