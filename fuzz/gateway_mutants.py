@@ -71,6 +71,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LSS,
         ),
         (
+            "traffic_away_accuses",
+            "canopen_gateway/traffic/traffic.py",
+            "        if self._bus.state in _DEAF:\n",
+            "        if self._bus.state is None:\n",
+            "an adapter that was pulled out makes each node late",
+            TRAFFIC,
+        ),
+        (
             "any_answer_of_the_tui_is_yes",
             "canopen_cli/tui/app.py",
             "if answer == YES:",

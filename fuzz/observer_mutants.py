@@ -18,6 +18,15 @@ _PDOS: Final = "observer/pdo_rules.py"
 _SERVICES: Final = "observer/service_rules.py"
 _SDO: Final = "observer/sdo.py"
 _OBSERVER: Final = "observer/observer.py"
+LOSSES: Final = ("tests/cli/test_log_losses.py",)
+BUSES: Final = ("tests/cli/test_log_buses.py",)
+CAPTURES: Final = ("tests/transports/test_capture_files.py",)
+WORLD: Final = ("tests/testing/test_world.py",)
+
+_PATTERNS: Final = "testing/patterns.py"
+_RECORD: Final = "canopen_transports/record.py"
+_CAPTURES: Final = "canopen_transports/capture_files.py"
+_LIVE: Final = "canopen_cli/live"
 
 OBSERVER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -46,6 +55,177 @@ OBSERVER_MUTANTS: Final = tuple(
             "",
             "a device that runs another program behind its boot-up is told as two devices",
             SDO,
+        ),
+        # ---- where nothing was heard at all, or a recorder says that it lost frames ----
+        (
+            "observer_pause_accuses_all",
+            _OBSERVER,
+            "        if len(silent) > 1 and not",
+            "        if len(silent) > 127 and not",
+            "a recorder that stood still makes each node late",
+            GAPS,
+        ),
+        (
+            "observer_pause_excuses_for_good",
+            _NODES,
+            " <= now and not view.is_excused}",
+            " <= now}",
+            "nodes that stay silent behind a pause are never late, if a slow one is heard",
+            GAPS,
+        ),
+        (
+            "observer_pause_accuses_pdos",
+            _PDOS,
+            "        for timing in self._timings.values():\n            timing.forget()\n        self.deadline",
+            "        self.deadline",
+            "a recorder that stood still makes each PDO late",
+            GAPS,
+        ),
+        (
+            "observer_overrun_makes_late",
+            _OBSERVER,
+            "        self._not_heard(self._now)\n        return",
+            "        return",
+            "a heartbeat that an overrun has cost makes a node late",
+            GAPS,
+        ),
+        (
+            "monitor_away_accuses",
+            f"{_LIVE}/monitor.py",
+            "if taken is None and not self._is_deaf:",
+            "if taken is None:",
+            "an adapter that was pulled out makes each node late",
+            LOSSES,
+        ),
+        (
+            "recording_hides_overruns",
+            f"{_LIVE}/source.py",
+            "overrun_text(self._reader)), record] if lost else [record]",
+            "overrun_text(self._reader)), record] if lost < 0 else [record]",
+            "log decode takes what the recorder has lost for a fault of a node",
+            LOSSES,
+        ),
+        (
+            "record_hides_overruns",
+            f"{_LIVE}/log_record.py",
+            "            self._writer.lost(*self._last)\n",
+            "            pass\n",
+            "a recording does not say where it lacks frames",
+            LOSSES,
+        ),
+        (
+            "record_overwrites",
+            f"{_LIVE}/log_record.py",
+            "        while path.exists():\n",
+            "        while number > 9:\n",
+            "the hour that comes twice at the end of summer time takes the place of the first one",
+            ("tests/cli/test_log_data.py",),
+        ),
+        (
+            "convert_hides_overruns",
+            f"{_LIVE}/log.py",
+            "                    writer.lost(record.time, record.channel)\n",
+            "                    pass\n",
+            "the copy of a recording does not say where it lacks frames",
+            LOSSES,
+        ),
+        (
+            "capture_hides_overruns",
+            _CAPTURES,
+            "        skip(str(reason), is_overrun=reason.is_overrun)\n",
+            "        skip(str(reason))\n",
+            "a capture's error frame of an overrun is passed over",
+            CAPTURES,
+        ),
+        (
+            "capture_hides_drops",
+            _CAPTURES,
+            "    if 0 < count < (1 << 64) - 1:\n",
+            "    if count < 0:\n",
+            "the recorder's own number of lost packets is passed over",
+            CAPTURES,
+        ),
+        # ---- the judge of a test ----
+        (
+            "judge_pause_excuses",
+            _OBSERVER,
+            "        if len(silent) > 1 and not self._is_exact:\n",
+            "        if len(silent) > 1:\n",
+            "in a test, two devices that fall silent together are a gap of a recorder that is not there",
+            WORLD,
+        ),
+        (
+            "pattern_is_as_typed",
+            _PATTERNS,
+            'return Pattern("frame", text=str(Frame.parse(text)))',
+            'Frame.parse(text)\n    return Pattern("frame", text=text.upper())',
+            'never("123#11.22") holds whatever comes',
+            WORLD,
+        ),
+        (
+            "pattern_whole_is_beginning",
+            _PATTERNS,
+            "    return str(frame) == pattern.text\n",
+            "    return str(frame).startswith(pattern.text)\n",
+            "a frame with further bytes passes for the one that was meant",
+            WORLD,
+        ),
+        (
+            "pattern_needs_a_size",
+            _PATTERNS,
+            "if data[0] & SIZE_BIT else bool(wanted) and written.startswith(wanted)",
+            "if data[0] & SIZE_BIT else False",
+            "never(sdo_write(...)) holds for a write that does not say its size",
+            WORLD,
+        ),
+        (
+            "seen_needs_one_frame",
+            "testing/seen.py",
+            "            fits = is_of_many and (",
+            "            fits = is_of_many and len(settled.data) > 4 and (",
+            "never(sdo_write(...)) holds for a short value that is written in segments",
+            WORLD,
+        ),
+        # ---- a clock that was set, and two buses in one recording ----
+        (
+            "clock_stands_still",
+            _RECORD,
+            "                self._ahead += self._last - shown\n",
+            "",
+            "behind a clock that was set back, no time passes until it is where it was",
+            LOSSES,
+        ),
+        (
+            "clock_of_all_buses",
+            f"{_LIVE}/clocks.py",
+            "        now = clock.set(time)\n",
+            "        clock = next(iter(self._clocks.values()))\n        now = clock.set(time)\n",
+            "two recordings of one hour behind each other are two hours",
+            LOSSES,
+        ),
+        (
+            "export_mixes_buses",
+            f"{_LIVE}/log_export.py",
+            "    has_several = len({value.record.channel for value in values}) > 1",
+            "    has_several = False",
+            "two nodes with one ID, on two buses, share a column",
+            BUSES,
+        ),
+        (
+            "plot_mixes_buses",
+            f"{_LIVE}/log_plot.py",
+            "curves.setdefault((value.record.channel, value.label)",
+            'curves.setdefault(("", value.label)',
+            "two nodes with one ID, on two buses, share a curve",
+            BUSES,
+        ),
+        (
+            "replay_mixes_buses",
+            f"{_LIVE}/log.py",
+            "    if len(names) > 1:\n        raise",
+            "    if len(names) > 9:\n        raise",
+            "what was said to node 5 of one bus is a command for node 5 of the other",
+            BUSES,
         ),
         # ---- two devices with one node-ID ----
         (

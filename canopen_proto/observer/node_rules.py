@@ -73,9 +73,9 @@ class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = (
-        "both", "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_late", "is_reset", "is_said", "is_told",
-        "is_up", "last", "limit", "pairs", "period", "rhythm", "same_toggles", "since", "state", "steady", "suspect", "suspected",
-        "toggle", "turns",
+        "both", "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_excused", "is_late", "is_reset",
+        "is_said", "is_told", "is_up", "last", "limit", "pairs", "period", "rhythm", "same_toggles", "since", "state", "steady",
+        "suspect", "suspected", "toggle", "turns",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -90,6 +90,7 @@ class _View:
         self.rhythm: Time = 0  # the longest of some even intervals between its heartbeats; 0 if it has shown none
         self.steady = 0  # intervals in a row that are as long as the one before
         self.is_late = False  # its last heartbeat came late
+        self.is_excused = False  # it was silent while no frame was heard at all
         self.last: Time = -NEVER  # its last heartbeat
         self.interval: Time = 0  # from the heartbeat before it
         self.both: Time = 0  # its last two intervals together
@@ -181,6 +182,20 @@ class NodeRules:
         view = self._views[node_id]
         return view.is_said and view.state == NmtState.OPERATIONAL
 
+    def silent_in_pause(self, now: Time) -> set[int]:
+        """Return the nodes whose heartbeats have become late since the last frame of the bus. Each is named once, until it sends
+        one again: who is silent behind the pause, too, is late."""
+        return {node_id for node_id, view in enumerate(self._views) if view.deadline <= now and not view.is_excused}
+
+    def lost(self, now: Time) -> None:
+        """Take note that frames were not heard: a heartbeat that is missing may be one of them, and so may an NMT command."""
+        for view in self._views:
+            view.last, view.steady, view.suspect = -NEVER, 0, None
+            if view.deadline < NEVER:
+                view.is_excused = view.is_excused or view.deadline <= now
+                view.wait(now)
+        self.deadline = min(view.deadline for view in self._views)
+
     def asked(self, node_id: int) -> None:
         """Take note of a guarding request."""
         self._views[node_id].is_asked = True
@@ -249,7 +264,7 @@ class NodeRules:
             view.is_reset = view.is_up = False
             text = "it boots in the middle of operation, and no reset command is in the recording"
             return [] if is_expected else [BusFinding("boot-up", node_id, text, is_certain=False)]
-        view.is_up = True
+        view.is_up, view.is_excused = True, False
         found: list[BusFinding] = []
         is_answer = view.is_asked
         if is_answer:

@@ -49,7 +49,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of, subindex_of
 from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 from canopen_proto.observer import words
-from canopen_proto.observer.finding import AT_ONCE, BusFinding, Gaps
+from canopen_proto.observer.finding import AT_ONCE, BusFinding, Gaps, duration_text
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
 from canopen_proto.observer.parameters import Channel, CobIdService, ObservedParameters, channels_of, services_of
@@ -128,8 +128,9 @@ class Observer:
 
     dictionary_of: returns the dictionary of a node-ID, or None. bitrate: bit/s; 0 if it is not known: then no look at the load.
     drives: nodes of which it is known otherwise that they are drives: PDOs.csv may describe their PDOs (pdo.py). load_limit:
-    share of the bit rate, 0 to 1, above which the load is a finding. exact: the times are those of the bus itself, as in a
-    simulation whose frames take no time; else frames that come closer than any bus brings them were queued (AT_ONCE).
+    share of the bit rate, 0 to 1, above which the load is a finding. exact: all frames are there, with the times of the bus
+    itself, as in a simulation whose frames take no time; else frames that come closer than any bus brings them were queued
+    (AT_ONCE), and a pause of the whole bus may be one of the recorder.
     """
 
     def __init__(
@@ -159,6 +160,7 @@ class Observer:
         self._alive: set[int] = set()  # nodes that have sent something
         self._is_shared_told = True  # that the nodes alive share COB-IDs
         self._now: Time = -NEVER
+        self._heard: Time = -NEVER  # the last frame
         self._load = _Load(bitrate, load_limit) if bitrate else None
         self._settled: Settled | None = None  # by this frame
         self._lengths: dict[ObservedPdo, int] = {}  # those that came: the wrong length of the last one, or 0
@@ -177,10 +179,9 @@ class Observer:
         else:
             now = self._now
         found: list[BusFinding] = []
-        if now >= self._nodes.deadline:
-            found += self._nodes.overdue(now)
-        if now >= self._timings.deadline:
-            found += self._timings.overdue(now)
+        if now >= self._nodes.deadline or now >= self._timings.deadline:
+            self._late(now, found)
+        self._heard = now
         sequences = self._sequences
         if now >= sequences.deadline:
             sequences.overdue(now)
@@ -198,6 +199,26 @@ class Observer:
             return Observation(meaning, tuple(found), settled, bits, *sequences.take(), statuswords)
         return Observation(meaning, tuple(found), settled, bits, False, (), statuswords)
 
+    def _late(self, now: Time, found: list[BusFinding]) -> None:
+        """Tell what has not come in time. found: takes the findings.
+
+        Where several nodes became late while no frame was heard at all, that is one cause, and none of them is to blame: the
+        recorder stood still, its cable was off, or its clock was set. A simulation has no recorder.
+        """
+        silent = self._nodes.silent_in_pause(now) | self._timings.silent_in_pause(now)
+        if len(silent) > 1 and not self._is_exact:
+            pause, names = duration_text(now - self._heard), ", ".join(map(str, sorted(silent)))
+            self._gaps.missing(0, f"no frame at all for {pause}, and nodes {names} were due", now, found)
+            self._not_heard(now)
+        found += self._nodes.overdue(now)
+        found += self._timings.overdue(now)
+
+    def _not_heard(self, now: Time) -> None:
+        """Take note that frames were not heard: what is missing until now may be one of them."""
+        self._nodes.lost(now)
+        self._timings.lost()
+        self._services.lost()
+
     def idle(self, now: Time) -> tuple[tuple[BusFinding, ...], tuple[Summary, ...]]:
         """Return what is wrong because nothing comes, and the sequences that a silence has ended. now: ns; all frames before it
         have been observed."""
@@ -213,6 +234,7 @@ class Observer:
         What such frames would have shown is no other finding then. text: the receiver's words. now: ns, as for `observe`.
         """
         self._now = max(now, self._now)
+        self._not_heard(self._now)
         return self._gaps.lost(text, self._now)
 
     def learn(self, node_id: int, index: int, subindex: int, data: bytes) -> None:

@@ -154,6 +154,16 @@ class PdoTimings:
                     text = f"{timing.name} does not come, at a SYNC and at the next one; its transmission type is {timing.kind}"
                     found.append(BusFinding("late pdo", timing.node_id, text, is_certain=False))
 
+    def silent_in_pause(self, now: Time) -> set[int]:
+        """Return the nodes whose PDOs have become late since the last frame of the bus."""
+        return {each.node_id for each in self._timings.values() if each.deadline <= now}
+
+    def lost(self) -> None:
+        """Take note that frames were not heard: a PDO or a SYNC that is missing may be one of them."""
+        for timing in self._timings.values():
+            timing.forget()
+        self.deadline = NEVER
+
     def overdue(self, now: Time) -> list[BusFinding]:
         """Return the PDOs that are later than their event timers allow; each one once."""
         found = []

@@ -92,6 +92,10 @@ class ServiceRules:
         self._inhibit.pop(node_id, None)
         self._emergencies[node_id] = -NEVER
 
+    def lost(self) -> None:
+        """Take note that frames were not heard: the next number of a SYNC's counter is not known."""
+        self._counter = None
+
     def sync(self, data: bytes, now: Time, found: list[BusFinding]) -> None:
         """Take a SYNC. found: takes what is wrong with it."""
         size = len(data)

@@ -96,11 +96,13 @@ class Story:
     def add(self, frame: Frame, observation: Observation, now: Time) -> list[BusEvent]:
         """Take a frame, and what the observer says of it. Return what it shows to have happened. now: ns."""
         events: list[BusEvent] = []
+        is_gap_told = False
         for finding in observation.findings:
             if finding.rule == "late heartbeat":
                 self._is_told_silent(finding.node_id, now)
+            is_gap_told = is_gap_told or finding.rule == "missing"
         if now >= self._deadline:
-            self._silences(now, events)
+            self._silences(now, events, is_gap_told=is_gap_told)
         if now > self._last:
             self._last = now
         service, node_id = observation.meaning.service, observation.meaning.node_id
@@ -202,8 +204,9 @@ class Story:
         if beat is not None and (now - self._last) * 2 <= now - beat.last:
             beat.is_silent = True
 
-    def _silences(self, now: Time, events: list[BusEvent]) -> None:
-        """Tell which nodes have become silent. Where no frame came at all, the bus has, or the recording stood still."""
+    def _silences(self, now: Time, events: list[BusEvent], *, is_gap_told: bool) -> None:
+        """Tell which nodes have become silent. Where no frame came at all, the bus has, or the recording stood still: if the
+        observer has not told that."""
         pause = now - self._last
         self._deadline = NEVER
         silent = []
@@ -216,7 +219,9 @@ class Story:
             else:
                 self._deadline = min(self._deadline, due)
         if silent and pause * 2 > min(now - beat.last for _, beat in silent):
-            self._tell("silent", 0, f"the recording has no frame at all for {duration_text(pause)} before this one", now, events)
+            text = f"the recording has no frame at all for {duration_text(pause)} before this one"
+            if not is_gap_told:
+                self._tell("silent", 0, text, now, events)
             for _, beat in silent:
                 beat.last = now
                 self._deadline = min(self._deadline, now + MISSED * beat.period)

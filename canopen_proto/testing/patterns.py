@@ -32,7 +32,7 @@ from canopen_proto.frame import (
 from canopen_proto.machine import LocalProtocolError, check_node_id
 from canopen_proto.multiplexer import mux, mux_text, place_of
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtState
-from canopen_proto.sdo.codec import ABORT, REQUESTS, SdoFrame, expedited_data, mux_in, number_in
+from canopen_proto.sdo.codec import ABORT, REQUESTS, SIZE_BIT, SdoFrame, expedited_data, mux_in, number_in
 
 Names: TypeAlias = Callable[[int], "ObjectDictionary | None"]
 """Returns the dictionary of a node-ID, or None."""
@@ -51,7 +51,7 @@ class Pattern:
     """See this module's text; made by the functions below. service: the kind of frame. node_id: 0 means any node.
 
     key: an object. value: of the object, or None for any. number: of a PDO; an NMT command or state, an error or abort code; -1
-    means any. text: of `can_frame`.
+    means any. text: of `can_frame`, or of a whole frame, as candump writes it.
     """
 
     service: str
@@ -102,7 +102,7 @@ class Pattern:
         match self.service:
             case "any":
                 return "any frame"
-            case "frame":
+            case "frame" | "whole frame":
                 return f"the frame {self.text}"
             case "nmt":
                 command = "any NMT command" if self.number < 0 else f"NMT command {_words(NmtCommand(self.number))}"
@@ -135,15 +135,17 @@ class Pattern:
 
 
 def as_pattern(meant: object) -> Pattern:
-    """Return what a test gives for a pattern: a frame, or one as candump writes it, is a `can_frame`.
+    """Return what a test gives for a pattern: a `Frame` means that one as a whole, a text as candump writes it is a `can_frame`.
 
     Raises LocalProtocolError, ValueError for text that is no frame.
     """
     __tracebackhide__ = True
     if isinstance(meant, Pattern):
         return meant
-    if isinstance(meant, str | Frame):
-        return can_frame(str(meant))
+    if isinstance(meant, Frame):
+        return Pattern("whole frame", text=str(meant))
+    if isinstance(meant, str):
+        return can_frame(meant)
     if callable(meant) and getattr(meant, "__name__", "").startswith("test"):
         raise LocalProtocolError("a marker takes faults, and no class of them: canopen_faults(Lose(...))")
     called = f": call it, {getattr(meant, '__name__', '')}(...)" if getattr(meant, "__module__", "") == __name__ else ""
@@ -157,8 +159,7 @@ def any_frame() -> Pattern:
 
 def can_frame(text: str) -> Pattern:
     """A frame as candump writes it, or its beginning: "605#40", "123#". Raises ValueError if it is none."""
-    Frame.parse(text)
-    return Pattern("frame", text=text.upper())
+    return Pattern("frame", text=str(Frame.parse(text)))
 
 
 def nmt(command: NmtCommand | str | None = None, node_id: int = 0) -> Pattern:
@@ -211,7 +212,8 @@ def sdo_answer(node_id: int = 0) -> Pattern:
 def sdo_write(node_id: int, key: Key, value: Value | None = None) -> Pattern:
     """The beginning of an SDO download of an object. value: with this value; None: any.
 
-    A value of more than four bytes goes in segments, and has no frame of its own: only assertions know it.
+    A value that goes in segments or blocks, as one of more than four bytes does, has no frame of its own: only assertions know
+    it, by the frame that confirms it.
     """
     return Pattern("sdo write", check_node_id(node_id), key, value)
 
@@ -256,6 +258,10 @@ def _fits_frame(pattern: Pattern, frame: Frame, names: Names) -> bool:
     return str(frame).startswith(pattern.text)
 
 
+def _fits_whole_frame(pattern: Pattern, frame: Frame, names: Names) -> bool:
+    return str(frame) == pattern.text
+
+
 def _fits_nmt(pattern: Pattern, frame: Frame, names: Names) -> bool:
     data = frame.data
     return frame.key == NMT and len(data) == 2 and data[1] == pattern.node_id and pattern.number in (-1, data[0])
@@ -284,7 +290,10 @@ def _fits_object(pattern: Pattern, frame: Frame, names: Names) -> bool:
     if asked not in _BEGINNINGS[pattern.service] or mux_in(data) != pattern.variable(names).mux:
         return False
     wanted = pattern.data(names)
-    return wanted is None or (asked is SdoFrame.DOWNLOAD and expedited_data(data) == wanted)
+    written = expedited_data(data) if asked is SdoFrame.DOWNLOAD else None
+    if wanted is None or written is None:
+        return wanted is None
+    return written == wanted if data[0] & SIZE_BIT else bool(wanted) and written.startswith(wanted)  # the device knows its size
 
 
 def _fits_abort(pattern: Pattern, frame: Frame, names: Names) -> bool:
@@ -297,6 +306,7 @@ def _fits_abort(pattern: Pattern, frame: Frame, names: Names) -> bool:
 _FITS: Final[dict[str, Callable[[Pattern, Frame, Names], bool]]] = {
     "any": lambda pattern, frame, names: True,
     "frame": _fits_frame,
+    "whole frame": _fits_whole_frame,
     "nmt": _fits_nmt,
     "sync": lambda pattern, frame, names: frame.key == SYNC,
     "emcy": _fits_emcy,

@@ -14,7 +14,7 @@ from typing import Final
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import mux
-from canopen_proto.sdo.codec import MAX_EXPEDITED
+from canopen_proto.sdo.codec import RESPONSES, SdoFrame
 from canopen_proto.testing.judge import Judge, Witnessed
 from canopen_proto.testing.patterns import Names, Pattern, as_pattern
 from canopen_proto.testing.times import nanoseconds
@@ -120,27 +120,24 @@ def check_never(pattern: Pattern, judge: Judge, names: Names, since: Time) -> No
 
 
 def _all(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0) -> Iterator[int]:
-    """The places of the frames that fit. A long value that was written fits with the frame that confirms it."""
-    long = _long_value(pattern, names)
+    """The places of the frames that fit. A value that was written in segments or blocks fits with the frame that confirms it."""
+    value = _value(pattern, names)
     for place, each in enumerate(judge.witnessed()[first:], start=first):
         if each.passed.time < since or not each.passed.was_heard:
             continue
-        if long is None:
-            fits = pattern.fits(each.passed.frame, names)
-        else:
-            settled = None if each.observation is None else each.observation.settled
-            fits = settled is not None and not settled.is_read and (settled.node_id, settled.place, settled.data) == long
+        fits = pattern.fits(each.passed.frame, names)
+        settled = None if each.observation is None else each.observation.settled
+        if not fits and value is not None and settled is not None and not settled.is_read:
+            is_of_many = RESPONSES[each.passed.frame.data[0]] is not SdoFrame.DOWNLOAD  # else the request was the whole of it
+            fits = is_of_many and (settled.node_id, settled.place, settled.data) == value
         if fits:
             yield place
 
 
-def _long_value(pattern: Pattern, names: Names) -> tuple[int, int, bytes] | None:
-    if pattern.service != "sdo write":
-        return None
-    data = pattern.data(names)
-    if data is None or 0 < len(data) <= MAX_EXPEDITED:
-        return None
-    return pattern.node_id, pattern.variable(names).mux, data
+def _value(pattern: Pattern, names: Names) -> tuple[int, int, bytes] | None:
+    """The node, object and bytes of a write, if it is one of a certain value."""
+    data = pattern.data(names) if pattern.service == "sdo write" else None
+    return None if data is None else (pattern.node_id, pattern.variable(names).mux, data)
 
 
 def _nearest(pattern: Pattern, looked: Iterable[Witnessed], names: Names) -> list[Witnessed]:

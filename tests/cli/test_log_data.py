@@ -9,8 +9,12 @@ from pathlib import Path
 import pytest
 
 from canopen_cli.live.log_export import clock_text
+from canopen_cli.live.log_record import _Files
 from canopen_cli.shared.problem import ExitCode
+from canopen_proto.frame import Frame
+from canopen_proto.machine import SECOND
 from canopen_transports.log_files import LogReader
+from canopen_transports.record import Record
 from tests.cli.cli_support import Run, runner_in_folder
 
 BEGIN = 1_700_000_000
@@ -193,3 +197,16 @@ def test_what_cannot_be_recorded(run: Run) -> None:
     assert run("log", "record", "new.log", "--keep", "2", "-b", "demo").status == ExitCode.USAGE
     assert run("log", "record", "bus.log", "-b", "demo").status == ExitCode.USAGE
     assert Path("bus.log").read_text() == LOG
+
+
+def test_a_file_of_the_same_second_takes_nothing_from_the_one_before(run: Run) -> None:
+    """As at the end of summer time, when an hour comes twice; and where a recording of another run is there already."""
+    files = _Files(Path("new.log"), SECOND // 2, 2)
+    for number in range(4):
+        files.write(Record(BEGIN * SECOND + number * SECOND // 5, "can0", Frame(0x100 + number, b"")))
+    files.close()
+    assert [[record.frame.can_id for record in LogReader(each)] for each in files.written] == [[0x100, 0x101, 0x102], [0x103]]
+    again = _Files(Path("new.log"), SECOND // 2, None)
+    again.write(Record(BEGIN * SECOND, "can0", Frame(0x200, b"")))
+    again.close()
+    assert sorted(len(list(LogReader(each))) for each in Path().glob("new-*.log")) == [1, 1, 3]

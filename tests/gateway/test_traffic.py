@@ -26,7 +26,7 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import SECOND
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_transports import ReceiveOverrun, open_transport
+from canopen_transports import BusState, BusStateChanged, ReceiveOverrun, open_transport
 from canopen_transports.candump_text import read_candump
 from tests.builds import replaces_what_is_compiled
 from tests.gateway.gateway_world import gateway
@@ -275,6 +275,30 @@ async def test_wherever_in_a_burst_frames_are_lost_never_is_a_device_named_for_t
         await trio.sleep(2 * LOOK)
         assert [(each.node_id, each.text) for each in traffic.findings] == [(0, "missing: frames are missing here: too slow")]
         assert (traffic.lost, list(traffic.losses)) == (2, [(4, 2)])
+
+
+@virtual_time
+async def test_a_bus_that_is_away_makes_no_node_late() -> None:
+    """The adapter is pulled out for three seconds: whether the node went on meanwhile, nobody knows."""
+    async with gateway() as (_, service):
+        traffic, bus = service.traffic(BUS), service.master.bus(BUS)
+
+        async def beats() -> None:
+            for _ in range(8):
+                bus.take_in(iter([(Frame.parse("763#05"), None)]), service.master.now())
+                await trio.sleep(0.1)
+
+        def late() -> list[int]:
+            return [each.node_id for each in traffic.findings if each.text.startswith("late heartbeat")]
+
+        await beats()
+        bus.take_in(iter([BusStateChanged("x", BusState.DOWN, "unplugged")]), service.master.now())
+        await trio.sleep(3)
+        bus.take_in(iter([BusStateChanged("x", BusState.UP, "plugged in")]), service.master.now())
+        await beats()
+        assert late() == []
+        await trio.sleep(3)
+        assert late() == [99], "now it is silent itself"
 
 
 @given(

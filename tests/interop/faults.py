@@ -184,7 +184,7 @@ class Scene:
         commands = [line.time for line in session if line.frame.can_id == 0 and not line.frame.data[1]]
         while True:
             begin = random.randrange(session[0].time, session[-1].time + SECOND)
-            is_possible = not any(0 <= begin + time - line.time < AT_ONCE for time in times for line in session)
+            is_possible = not any(0 <= begin + time - line.time < AT_ONCE for time in times for line in ended(session))
             if is_possible and not any(begin <= command <= begin + length for command in commands):
                 return begin
 
@@ -199,18 +199,25 @@ class Scene:
         for after, text in self.frames:
             now += round(after * MILLISECOND)
             lines.append(Line(now, Frame.parse(text)))
-        return sorted([*session, *lines], key=lambda line: line.time)
+        return sorted([*ended(session), *lines], key=lambda line: line.time)
 
     def found(self, session: Session, begin: Time, known: list[Found]) -> list[Found]:
         """What is found with this scene from a time on. known: what is found without it.
 
-        Known is by rule and node: a frame of the scene may be the one that shows it. Left out: behind the end of the recording
-        its own nodes are silent, and so late; and for SYNCs that they have not heard.
+        Known is by rule and node: a frame of the scene may be the one that shows it. Left out: what its own nodes show
+        behind the end of the recording, and for SYNCs that they have not heard.
         """
         end, found = session[-1].time, found_in(self.within(session, begin))
         for rule, node_id in ((each.rule, each.node_id) for each in known):
             found = _without_first(found, rule, node_id)
         return [each for each in found if each.node_id in DEVICES or (each.line.time <= end and not self.has_sync)]
+
+
+def ended(session: Session) -> Session:
+    """The session, and at its end a reset of each of its nodes: behind that they are silent, and that is no gap of the bus."""
+    nodes = sorted({line.frame.can_id & 0x7F for line in session if line.frame.can_id & 0x780 == 0x700})
+    texts = [text for node in nodes for text in (f"000#81{node:02X}", f"{0x700 + node:03X}#00")]
+    return [*session, *(Line(session[-1].time + at * 2 * AT_ONCE, Frame.parse(text)) for at, text in enumerate(texts, 1))]
 
 
 def _without_first(found: list[Found], rule: str, node_id: int) -> list[Found]:

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_proto.machine import SECOND
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import Observer
 from tests.examples import examples
@@ -79,3 +80,59 @@ def test_one_lost_frame_is_told_once_at_most(number: int, place: int) -> None:
     session = clean(number)
     del session[place % len(session)]
     assert len([each for each in findings(session) if each.rule == "missing"]) <= 1
+
+
+# ---- where nothing was heard at all ----
+
+NODES = (3, 4, 5)
+
+
+def beats(begin: int, end: int, nodes: tuple[int, ...] = NODES, each: int = 100) -> Session:
+    """Heartbeats of operational nodes, from one ms to another."""
+    return [
+        ((at + node) * MILLISECOND, Frame.parse(f"{0x700 + node:03X}#05")) for at in range(begin, end, each) for node in nodes
+    ]
+
+
+def test_a_pause_of_the_whole_bus_accuses_no_node() -> None:
+    """A recorder that stood still looks the same: one cause, told once."""
+    (told,) = findings(beats(0, 3000) + beats(13_000, 16_000))
+    assert (told.rule, told.node_id, told.is_certain) == ("missing", 0, False)
+    assert "no frame at all for 10.1 s, and nodes 3, 4, 5 were due" in told.text
+
+
+def test_nodes_that_stay_silent_behind_a_pause_are_late() -> None:
+    """Two drives with one supply: a third node, which is slow, speaks for itself all the time."""
+    told = findings(beats(0, 3000) + beats(4000, 9000, (5,), 1000))
+    assert [each.rule for each in told[:1]] == ["missing"]
+    assert sorted(each.node_id for each in told if each.rule == "late heartbeat" and each.node_id != 5) == [3, 4]
+
+
+def test_a_pause_is_no_excuse_for_a_node_that_was_late_before_it() -> None:
+    told = findings(beats(0, 3000) + beats(3000, 3300, (4, 5)) + beats(13_000, 16_000))
+    assert [(each.rule, each.node_id) for each in told] == [("late heartbeat", 3), ("missing", 0)]
+
+
+def test_pdos_that_a_pause_of_the_whole_bus_lacks_are_not_late() -> None:
+    writes = ("2F001802FE000000", "2B00180564000000", "23001A0110004160", "2F001A0001000000")  # each 100 ms, a statusword
+    texts = [f"60{node}#{write} 58{node}#60{write[2:8]}00000000" for node in (3, 4) for write in writes]
+    session = [(at * MILLISECOND, Frame.parse(text)) for at, text in enumerate(" ".join(texts).split())]
+    sent = [Frame.parse(text) for text in ("703#05", "704#05", "184#3702", "183#3702")]
+    session += [((at + 2 * place) * MILLISECOND, frame) for at in range(100, 3000, 100) for place, frame in enumerate(sent)]
+    later = [(at + 10 * SECOND, frame) for at, frame in session if at >= 100 * MILLISECOND]
+    assert [each.rule for each in findings(session + later)] == ["missing"]
+    going_on = [(at + 2900 * MILLISECOND, frame) for at, frame in session if at >= 100 * MILLISECOND and frame is not sent[3]]
+    assert [(each.rule, each.node_id) for each in findings(session + going_on)] == [("late pdo", 3)]
+
+
+@pytest.mark.parametrize("nodes", [(3,), NODES])
+def test_what_an_overrun_may_have_cost_makes_no_node_late(nodes: tuple[int, ...]) -> None:
+    """The process was stopped for ten seconds, and its queue was full: who was silent then, nobody knows."""
+    observer = Observer()
+    heard = [each for at, frame in beats(0, 3000, nodes) for each in observer.observe(frame, at).findings]
+    assert heard == []
+    observer.lost("the receive queue was full", 13 * SECOND)
+    assert [each for at, frame in beats(13_050, 16_000, nodes) for each in observer.observe(frame, at).findings] == []
+    assert [each.rule for each in observer.observe(Frame.parse("080#"), 20 * SECOND).findings][-1:] in (
+        ["late heartbeat"] if nodes == (3,) else ["missing"],
+    )

@@ -305,6 +305,71 @@ def test_frames_inside_of_a_block_transfer_begin_none() -> None:
     assert sdo_write(5, 0x6041).fits(Frame.parse("605#C641600009000000"))
 
 
+@pytest.mark.parametrize("text", ["123#11.22", " 123#1122 ", "123#1122"])
+def test_a_frame_fits_however_candump_writes_it(text: str) -> None:
+    """Else `never` would hold whatever comes."""
+    assert can_frame(text).fits(Frame.parse("123#112233"))
+    assert can_frame("705#R0").fits(Frame.parse("705#R"))
+    world = World()
+    world.bus().send("123#112233")
+    world.advance(MILLISECOND)
+    assert world.bus().saw(text).frame == Frame.parse("123#112233")
+    with pytest.raises(AssertionError):
+        world.bus().never(text)
+
+
+def test_a_frame_that_is_meant_as_a_whole_is_no_beginning() -> None:
+    """A device whose PDO has two bytes too many does not send this frame."""
+    world = World()
+    world.bus().send("181#01020304")
+    world.advance(MILLISECOND)
+    world.bus().never(Frame.parse("181#0102"))
+    world.bus().never(Frame.parse("181#"))
+    assert world.bus().saw(Frame.parse("181#01020304")).frame.data == bytes((1, 2, 3, 4))
+    with pytest.raises(AssertionError, match="never saw the frame 181#0102"):
+        world.bus().saw(Frame.parse("181#0102"))
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        ("605#2B4060000F000000", "585#6040600000000000"),
+        ("605#224060000F000000", "585#6040600000000000"),  # it does not say how many bytes there are
+        ("605#2140600002000000", "585#6040600000000000", "605#0B0F000000000000", "585#2000000000000000"),  # in segments
+        (
+            "605#C240600002000000", "585#A040600001000000", "605#810F000000000000",
+            "585#A201010000000000", "605#D500000000000000", "585#A100000000000000",
+        ),  # in a block
+    ],
+)  # fmt: skip
+def test_a_value_is_seen_however_it_is_written(frames: tuple[str, ...]) -> None:
+    """A program of another stack may write two bytes in segments: `never` must not hold then."""
+    world = World()
+    for text in frames:
+        world.bus().send(text)
+        world.advance(MILLISECOND)
+    world.bus().saw(sdo_write(5, "controlword", 0x0F)).times(1)
+    world.bus().never(sdo_write(5, "controlword", 0x06))
+    world.bus().never(sdo_write(5, "statusword", 0x0F))
+    with pytest.raises(AssertionError):
+        world.bus().never(sdo_write(5, "controlword", 0x0F))
+
+
+def test_nodes_that_fall_silent_together_are_late_each() -> None:
+    """A world has no recorder that could have stood still."""
+    world = World(faults=[Pause(each, at=SECOND, lasts=2 * SECOND) for each in (5, 6)])
+    for node_id in (5, 6):
+        world.drive(node_id)
+        world.master().write(node_id, "producer_heartbeat_time", 100)
+    world.advance(2 * SECOND)
+    world.bus().send("080#")
+    world.advance(MILLISECOND)
+    assert sorted((each.finding.rule, each.finding.node_id) for each in world.bus().observer.findings) == [
+        ("late heartbeat", 5),
+        ("late heartbeat", 6),
+    ]
+
+
 def test_a_device_lies_about_its_identity() -> None:
     world = World(faults=[Lie(5, (0x1018, 1), 0x1234)])
     world.drive(5)

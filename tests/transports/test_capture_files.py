@@ -31,7 +31,11 @@ def pcap(*packets: bytes, link_type: int = 227, order: str = "<", magic: int = 0
 
 def read(content: bytes) -> tuple[list[Record], list[str]]:
     skipped: list[str] = []
-    return list(read_capture(io.BytesIO(content), skipped.append, "can0")), skipped
+
+    def skip(reason: str, *, is_overrun: bool = False) -> None:
+        skipped.append(reason)
+
+    return list(read_capture(io.BytesIO(content), skip, "can0")), skipped
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -58,6 +62,37 @@ def test_other_packets_are_passed_over(packet: str, reason: str) -> None:
     records, skipped = read(pcap(bytes.fromhex(packet), SDO))
     assert [record.frame for record in records] == [FRAME]
     assert skipped == [reason]
+
+
+OVERRUN = bytes.fromhex("20000004 08 000000 0001000000000000")
+WARNING = bytes.fromhex("20000004 08 000000 0004000000000000")
+
+
+def losses(content: bytes) -> list[str]:
+    """Why frames are missing, as the recorder says."""
+    found: list[str] = []
+
+    def skip(reason: str, *, is_overrun: bool = False) -> None:
+        if is_overrun:
+            found.append(reason)
+
+    assert [record.frame for record in read_capture(io.BytesIO(content), skip)] == [FRAME, FRAME]
+    return found
+
+
+def test_a_recorder_that_lost_frames_says_so() -> None:
+    """SocketCAN's error frame, and in pcapng the recorder's own numbers: before a packet, and of all of them."""
+    assert losses(pcap(SDO, OVERRUN, WARNING, SDO)) == ["an error frame"]
+    begin = section() + interface() + packet(1)
+    assert losses(begin + packet(2, OVERRUN) + packet(3)) == ["an error frame"]
+    dropped = bytes.fromhex("0400 0800 1100000000000000 00000000")
+    assert losses(begin + packet(2, options=dropped)) == ["the recorder has lost 17 packets here"]
+    head, numbers = struct.pack("<III", 0, 0, 9), bytes.fromhex("0500 0800 0200000000000000 0700 0800 0100000000000000 00000000")
+    assert losses(begin + packet(2) + block(5, head + numbers)) == ["the recorder has lost 3 packets somewhere before"]
+    unknown = bytes.fromhex("0500 0800 FFFFFFFFFFFFFFFF 0400 0800 2000000000000000")
+    assert losses(begin + packet(2) + block(5, head + unknown)) == []
+    none = bytes.fromhex("0400 0800 0000000000000000 00000000")
+    assert losses(begin + packet(2, options=none)) == []
 
 
 def test_flags_of_the_identifier() -> None:

@@ -386,6 +386,8 @@ async def test_what_is_lost_on_its_way_to_us_is_counted(tmp_path: Path) -> None:
                 await tap.receive()
             await reported(tap, ReceiveOverrun)
     assert (trace.recorded, trace.lost) == (2, 3)
+    reader = LogReader(tmp_path / "a.log")
+    assert (len(list(reader)), reader.overruns) == (2, 1), "who reads the file knows it, too"
 
 
 class FullDisk:
@@ -399,8 +401,21 @@ class FullDisk:
             raise OSError(errno.ENOSPC, "No space left on device")
         self.room -= 1
 
+    def lost(self, time: int, channel: str) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     def close(self) -> None:
         raise OSError(errno.EIO, "Input/output error")
+
+
+def test_a_full_disk_that_cannot_take_that_frames_were_lost_ends_the_trace() -> None:
+    trace = Trace(FullDisk(9))
+    trace.lose(2, "can0", 0)
+    trace.record(Record(0, "can0", numbered(1)))
+    trace.close()
+    assert (trace.lost, trace.recorded) == (2, 0)
+    assert trace.failure is not None
+    assert trace.failure.errno == errno.ENOSPC
 
 
 def test_a_full_disk_ends_the_trace_and_nothing_else() -> None:

@@ -154,6 +154,10 @@ class CandumpWriter:
         """Add a line."""
         self._file.write(log_line(record))
 
+    def lost(self, time: int, channel: str) -> None:
+        """Add the line by which `read_candump` knows that frames are missing."""
+        self._file.write(lost_line(time, channel))
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()

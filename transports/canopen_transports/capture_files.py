@@ -3,7 +3,9 @@
 Each packet of link type 227 (LINKTYPE_CAN_SOCKETCAN) is the head of Linux's `struct can_frame`, of which the identifier and its
 three flags are big-endian, and the data. A capture of all interfaces (`-i any`) has a head of the "cooked" capture before it
 (link types 113 and 276), which also says which packets this computer sent; the identifier behind it has the byte order of the
-file. Packets of other link types and protocols are skipped, as are CAN FD, CAN XL and error frames.
+file. Packets of other link types and protocols are skipped, as are CAN FD, CAN XL and error frames. Three things say that the
+recorder lost frames: SocketCAN's error frame of an overrun, and in pcapng the number of lost packets before a packet, and of all
+that an interface lost.
 
 Sources: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng, the formats; tcpdump.org's list of link types. The tests have tshark
 read what is written here, and read here what tshark writes.
@@ -15,8 +17,11 @@ import struct
 from collections.abc import Iterator
 from typing import BinaryIO, Final, NamedTuple
 
+from canopen_proto.explained import counted
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import SECOND
+from canopen_transports.candump_text import NotAFrameError
+from canopen_transports.error_frames import ErrorReport
 from canopen_transports.record import DEFAULT_CHANNEL, LogDamagedError, Record, Skip
 
 CAN_SOCKETCAN: Final = 227
@@ -36,9 +41,12 @@ _XL_FLAG: Final = 0x80  # in the byte of the length: a CAN XL frame has its flag
 
 _MICROSECONDS, _NANOSECONDS = 0xA1B2C3D4, 0xA1B23C4D
 _SECTION_HEADER: Final = 0x0A0D0D0A  # reads the same in both byte orders
-_INTERFACE, _SIMPLE_PACKET, _ENHANCED_PACKET = 1, 3, 6
+_INTERFACE, _SIMPLE_PACKET, _STATISTICS, _ENHANCED_PACKET = 1, 3, 5, 6
 _BYTE_ORDER: Final = 0x1A2B3C4D
-_OPTION_NAME, _OPTION_RESOLUTION, _OPTION_OFFSET, _OPTION_FLAGS = 2, 9, 14, 2
+_OPTION_NAME, _OPTION_RESOLUTION, _OPTION_OFFSET, _OPTION_FLAGS, _OPTION_DROPPED = 2, 9, 14, 2, 4
+_OPTIONS_OF_LOSSES: Final = (5, 7)  # isb_ifdrop, isb_osdrop: by the interface, by the system
+_OVERRUN: Final = _ERROR_FLAG | 0x004, b"\0\1".ljust(8, b"\0")
+"""linux/can/error.h: the identifier and the data of an error frame of a receive buffer that overran."""
 _LARGEST: Final = 1 << 24  # bytes: no program writes a block or a packet as large; damaged files say so
 
 MAGICS: Final = frozenset(
@@ -109,6 +117,9 @@ def _pcapng_records(file: BinaryIO, skip: Skip, channel: str) -> Iterator[Record
                 yield from _packet(body, order, interfaces, skip)
             elif kind == _SIMPLE_PACKET:
                 skip("a packet without a time")
+            elif kind == _STATISTICS:
+                options = _options(body[12:], order)
+                _tell_lost(sum(_number(options.get(each, b""), order) for each in _OPTIONS_OF_LOSSES), "somewhere before", skip)
         begin = file.read(8)
 
 
@@ -141,8 +152,9 @@ def _packet(body: bytes, order: str, interfaces: list[_Interface], skip: Skip) -
     if number >= len(interfaces) or 20 + length > len(body):
         raise LogDamagedError(f"a packet of {length} bytes on interface {number} does not fit what comes before it")
     interface = interfaces[number]
-    flags = _options(body[20 + length + -length % 4 :], order).get(_OPTION_FLAGS, b"")
-    sent = int.from_bytes(flags[:4], "little" if order == "<" else "big") & 3 == 2
+    options = _options(body[20 + length + -length % 4 :], order)
+    _tell_lost(_number(options.get(_OPTION_DROPPED, b""), order), "here", skip)
+    sent = _number(options.get(_OPTION_FLAGS, b"")[:4], order) & 3 == 2
     time = interface.time(high << 32 | low)
     for record in _records(interface.link_type, order, body[20 : 20 + length], time, interface.channel, skip):
         yield record._replace(sent=sent) if sent else record
@@ -159,6 +171,16 @@ def _options(text: bytes, order: str) -> dict[int, bytes]:
         found[number] = text[at + 4 : at + 4 + length]
         at += 4 + length + -length % 4
     return found
+
+
+def _number(content: bytes, order: str) -> int:
+    return int.from_bytes(content[:8], "little" if order == "<" else "big")
+
+
+def _tell_lost(count: int, where: str, skip: Skip) -> None:
+    """Tell the recorder's own number of lost packets, if it is one: all ones mean that it does not know."""
+    if 0 < count < (1 << 64) - 1:
+        skip(f"the recorder has lost {counted(count, 'packet')} {where}", is_overrun=True)
 
 
 # ---- both ----
@@ -197,32 +219,38 @@ def _records(link_type: int, order: str, packet: bytes, time: int, channel: str,
         sent = kind == _OUTGOING
     try:
         yield Record(time, channel, _frame(packet[head:], order if head else ">"), sent)
-    except ValueError as reason:
-        skip(str(reason))
+    except NotAFrameError as reason:
+        skip(str(reason), is_overrun=reason.is_overrun)
 
 
 def _frame(packet: bytes, order: str) -> Frame:
-    """Return the frame of SocketCAN's bytes. Raises ValueError, which says what else it is."""
+    """Return the frame of SocketCAN's bytes. Raises NotAFrameError, which says what else it is."""
     can_id, length, flags = _CAN_HEAD[order].unpack_from(packet)
     if length & _XL_FLAG:
-        raise ValueError("a CAN XL frame")
+        raise NotAFrameError("a CAN XL frame")
     if length > 8 or flags & _FD_FLAG:
-        raise ValueError("a CAN FD frame")
+        raise NotAFrameError("a CAN FD frame")
     if can_id & _ERROR_FLAG:
-        raise ValueError("an error frame")
+        report = ErrorReport(can_id, packet[_CAN_HEAD_LENGTH : _CAN_HEAD_LENGTH + length])
+        raise NotAFrameError("an error frame", is_overrun=report.overrun)
     extended = EXTENDED if can_id & _EXTENDED_FLAG else 0
     can_id_alone = can_id & (0x1FFFFFFF if extended else 0x7FF)
     if can_id & _REMOTE_FLAG:
         return Frame(can_id_alone, b"", extended | REMOTE, length)
     data = packet[_CAN_HEAD_LENGTH : _CAN_HEAD_LENGTH + length]
     if len(data) < length:
-        raise ValueError(f"a packet that was cut to {len(packet)} bytes when it was captured")
+        raise NotAFrameError(f"a packet that was cut to {len(packet)} bytes when it was captured")
     return Frame(can_id_alone, data, extended)
 
 
 def _packet_of(frame: Frame) -> bytes:
     flags = _EXTENDED_FLAG * bool(frame.flags & EXTENDED) | _REMOTE_FLAG * bool(frame.flags & REMOTE)
     return _CAN_HEAD[">"].pack(frame.can_id | flags, frame.dlc, 0) + frame.data
+
+
+def _packet_of_loss() -> bytes:
+    can_id, data = _OVERRUN
+    return _CAN_HEAD[">"].pack(can_id, len(data), 0) + data
 
 
 class PcapWriter:
@@ -236,13 +264,19 @@ class PcapWriter:
 
     def write(self, record: Record) -> None:
         """Add a packet."""
-        seconds, fraction = divmod(record.time, SECOND)
+        self.left_out += not self._add(record.time, _packet_of(record.frame))
+
+    def lost(self, time: int, channel: str) -> None:
+        """Add the error frame by which `read_capture` knows that frames are missing."""
+        self._add(time, _packet_of_loss())
+
+    def _add(self, time: int, packet: bytes) -> bool:
+        seconds, fraction = divmod(time, SECOND)
         if seconds >> 32:
-            self.left_out += 1
-            return
-        packet = _packet_of(record.frame)
+            return False
         self._file.write(struct.pack("<IIII", seconds, fraction, len(packet), len(packet)) + packet)
         self._file.flush()
+        return True
 
     def close(self) -> None:
         """End the file."""
@@ -263,19 +297,25 @@ class PcapngWriter:
 
     def write(self, record: Record) -> None:
         """Add a packet; before it its interface, if it is the first one there."""
-        if record.time >> 64:
-            self.left_out += 1
-            return
-        number = self._interfaces.get(record.channel)
+        self.left_out += not self._add(record.time, record.channel, _packet_of(record.frame), sent=record.sent)
+
+    def lost(self, time: int, channel: str) -> None:
+        """Add the error frame by which `read_capture` knows that frames are missing."""
+        self._add(time, channel, _packet_of_loss(), sent=False)
+
+    def _add(self, time: int, channel: str, packet: bytes, *, sent: bool) -> bool:
+        if time >> 64:
+            return False
+        number = self._interfaces.get(channel)
         if number is None:
-            number = self._interfaces[record.channel] = len(self._interfaces)
-            options = _option(_OPTION_NAME, record.channel.encode()) + _option(_OPTION_RESOLUTION, b"\x09")
+            number = self._interfaces[channel] = len(self._interfaces)
+            options = _option(_OPTION_NAME, channel.encode()) + _option(_OPTION_RESOLUTION, b"\x09")
             self._block(_INTERFACE, struct.pack("<HHI", CAN_SOCKETCAN, 0, 0) + options + _option(0, b""))
-        packet = _packet_of(record.frame)
-        body = struct.pack("<5I", number, record.time >> 32, record.time & 0xFFFFFFFF, len(packet), len(packet)) + _filled(packet)
-        direction = struct.pack("<I", 2 if record.sent else 1)
+        body = struct.pack("<5I", number, time >> 32, time & 0xFFFFFFFF, len(packet), len(packet)) + _filled(packet)
+        direction = struct.pack("<I", 2 if sent else 1)
         self._block(_ENHANCED_PACKET, body + _option(_OPTION_FLAGS, direction) + _option(0, b""))
         self._file.flush()
+        return True
 
     def close(self) -> None:
         """End the file."""

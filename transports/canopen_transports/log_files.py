@@ -35,10 +35,10 @@ UNREADABLE: Final = "CO342"
 LOSSES: Final = {
     ".log": "",
     ".asc": "names of buses become numbers; the date is kept to the millisecond, and without its time zone; frames earlier than "
-    "the first one get its time",
+    "the first one get its time; where frames were lost",
     ".blf": "names of buses become numbers; times without a date (before 1990) are counted from the first frame's millisecond; "
-    "frames earlier than the first one get its time",
-    ".trc": "remote frames are left out; names of buses become numbers",
+    "frames earlier than the first one get its time; where frames were lost",
+    ".trc": "remote frames are left out; names of buses become numbers; where frames were lost",
     ".pcap": "names of buses; which frames were sent",
     ".pcapng": "",
 }
@@ -91,15 +91,15 @@ class LogReader:
 
     path: its ending says the kind; `.txt` is candump's text, like `.log`. stream: candump's text, or a capture, from elsewhere
     (standard input); path then only names it. skipped: how many entries were not classical CAN frames so far; last_skip: why the
-    last was not. overruns: how many of these say that frames are missing there: candump's error frames of a
-    recorder that was overrun, and damaged lines between frames.
+    last was not. overruns: how many of these say that frames are missing there: error frames of a recorder that was overrun, its
+    own number of lost packets, and damaged lines between frames; last_overrun: what the last of them said.
     """
 
     def __init__(self, path: Path, stream: BufferedReader | None = None) -> None:
         self.path = path
         self.skipped = 0
         self.overruns = 0
-        self.last_skip = ""
+        self.last_skip = self.last_overrun = ""
         self._stream = stream
         self._file: BufferedReader | None = None
         self._kind = ".log" if stream is not None or path.suffix.lower() == ".txt" else kind_of(path)
@@ -144,7 +144,9 @@ class LogReader:
     def _skip(self, reason: str, *, is_overrun: bool = False) -> None:
         self.skipped += 1
         self.last_skip = reason
-        self.overruns += is_overrun
+        if is_overrun:
+            self.overruns += 1
+            self.last_overrun = reason
 
 
 def _text(stream: BufferedReader) -> TextIOWrapper:

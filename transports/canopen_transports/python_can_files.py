@@ -158,6 +158,9 @@ class PythonCanWriter:
         message.channel = self._channels.setdefault(record.channel, len(self._channels))
         self._writer.on_message_received(message)
 
+    def lost(self, time: int, channel: str) -> None:
+        """Do nothing: python-can writes no such entry that its readers give back."""
+
     def close(self) -> None:
         try:
             self._writer.stop()

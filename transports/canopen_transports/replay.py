@@ -7,7 +7,8 @@
     file:trace.log?send=refuse      sending raises an error (CO111); by default the frame is swallowed
 
 Waiting uses the loop's clock, so a recorded hour takes no time under a virtual clock. Time stamps are those of the file, in ns
-since 1970 if it has dates. After the last frame `receive` reports the end once (BusStateChanged, DOWN), and then waits for ever.
+since 1970 if it has dates. Where they go back by more than a second, the frames behind come in their own time all the same. After
+the last frame `receive` reports the end once (BusStateChanged, DOWN), and then waits for ever.
 
 Frames of all buses in the file come, also those that the recorder sent.
 """
@@ -24,7 +25,7 @@ from canopen_transports.errors import BUS_LOST, CANNOT_OPEN, BusState, BusStateC
 from canopen_transports.locator import Option
 from canopen_transports.log_files import LogFileError, LogReader
 from canopen_transports.loop import AsyncResource, current_loop
-from canopen_transports.record import Record
+from canopen_transports.record import Record, RecordClock
 from canopen_transports.transport import Received, check_frame
 
 MAX: Final = math.inf
@@ -47,7 +48,9 @@ class ReplayTransport(AsyncResource):
         self.swallowed = 0
         self._refuses = refuses
         self._speed = speed
+        self._clock = RecordClock()
         self._first: int | None = None
+        self._due = 0  # when the next one comes, on the clock of the records
         try:
             self._reader = LogReader(path)
         except LogFileError as error:
@@ -112,7 +115,7 @@ class ReplayTransport(AsyncResource):
             self._granted -= 1
         elif self._speed != MAX:
             assert self._first is not None
-            due = self._start + (record.time - self._first) / 1e9 / self._speed
+            due = self._start + (self._due - self._first) / 1e9 / self._speed
             while self._loop.current_time() < due:
                 await self._wait(due)
         try:
@@ -142,8 +145,9 @@ class ReplayTransport(AsyncResource):
             self._next = next(self._records, None)
         except LogFileError as error:
             raise self._unreadable(error) from error
-        if self._first is None and self._next is not None:
-            self._first = self._next.time
+        if self._next is not None:
+            self._due = self._clock.set(self._next.time)
+            self._first = self._due if self._first is None else self._first
 
     def _unreadable(self, error: LogFileError) -> TransportError:
         opening = self._first is None

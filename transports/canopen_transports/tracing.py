@@ -80,6 +80,16 @@ class Trace:
             else:
                 self.recorded += 1
 
+    def lose(self, count: int, channel: str, now: int) -> None:
+        """Take note that frames were lost on their way to us, and say so in the file: who reads it would take what is missing for
+        a fault of a node. Raises nothing."""
+        self.lost += count
+        if self.failure is None and not self._closed:
+            try:
+                self._writer.lost(now, channel)
+            except OSError as error:
+                self.failure = error
+
     def close(self) -> None:
         """End the file. May be called twice; raises nothing."""
         if self._closed:
@@ -124,6 +134,9 @@ class _Listener:
 
     def __init__(self, heard: Callable[[Record], None]) -> None:
         self.write = heard
+
+    def lost(self, time: int, channel: str) -> None:
+        """Nobody reads it."""
 
     def close(self) -> None:
         """Nothing is open."""
@@ -238,7 +251,7 @@ class TracingTransport(AsyncResource):
             frame = received[0]
             self._record_in_turn(Record(now, self._channel, frame, self._ours == (frame.key in self._cyclic_keys)))
         elif isinstance(received, ReceiveOverrun) and self._trace.records(self):
-            self._trace.lost += received.lost
+            self._trace.lose(received.lost, self._channel, now)
 
     def _record_in_turn(self, record: Record) -> None:
         if self._sending:

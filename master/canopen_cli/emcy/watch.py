@@ -90,7 +90,9 @@ async def _show(
             screen.say(f"[bold]{escape(live.name)}[/], {until_text(seconds)}; nothing is sent")
         buses = Buses(files)
         async for heard in live:
-            if not isinstance(heard, Record):
+            if not isinstance(heard, Record):  # what was lost may have been an emergency
+                live.clear()
+                screen.say(f"[yellow]{escape(heard.failed)}: {escape(heard.seen)}[/]")
                 continue
             counts.frames += 1
             seconds, observation = buses.observe(heard)

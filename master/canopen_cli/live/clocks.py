@@ -1,10 +1,13 @@
-"""`FrameClock`: the time of what is live goes on between frames."""
+"""The times of frames as what follows them needs them: they never go back. `FrameClock`: of what is live, and so goes on between
+frames.
+"""
 
 from __future__ import annotations
 
 import trio
 
 from canopen_proto.machine import SECOND, Time
+from canopen_transports.record import RecordClock
 
 
 def trio_now() -> Time:
@@ -12,30 +15,35 @@ def trio_now() -> Time:
     return round(trio.current_time() * SECOND)
 
 
-class FrameClock:
-    """The time of frames as a display needs it: it goes on between two frames, and never goes back.
+class RecordClocks:
+    """The clocks of the buses in a recording: each has its own, as two recordings of one hour may stand one behind the other.
 
-    jumps: how often the clock of the frames went back by more than a second.
-
-    Behind such a jump, as where two recordings were put together, time goes on from where it was: else what was heard before
-    would look as if it had just come.
+    jumps: how often the clock of a bus went back: the most of all.
     """
 
     def __init__(self) -> None:
         self.jumps = 0
-        self._ahead: Time = 0  # what was added for the jumps
-        self._last: Time | None = None
+        self._clocks: dict[str, RecordClock] = {}
+
+    def set(self, channel: str, time: Time) -> Time:
+        """Take the time of a frame of a bus; see `RecordClock.set`."""
+        clock = self._clocks.get(channel)
+        if clock is None:
+            clock = self._clocks[channel] = RecordClock()
+        now = clock.set(time)
+        self.jumps = max(self.jumps, clock.jumps)
+        return now
+
+
+class FrameClock(RecordClock):
+    """The time of frames as a display needs it: it goes on between two frames, too."""
+
+    def __init__(self) -> None:
+        super().__init__()
         self._zero: Time = 0  # from trio's clock to this one
 
     def set(self, time: Time) -> Time:
-        """Take the time of a frame that has just come, ns; return it on this clock."""
-        shown = time + self._ahead
-        if self._last is not None and shown < self._last:
-            if self._last - shown > SECOND:
-                self.jumps += 1
-                self._ahead += self._last - shown
-            shown = self._last
-        self._last = shown
+        shown = super().set(time)
         self._zero = shown - trio_now()
         return shown
 

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import click
 
+from canopen_cli.live.clocks import RecordClocks
 from canopen_cli.live.window import time_of_day
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import NodeIds, together
@@ -55,34 +56,67 @@ _NUMBER: Final = re.compile(r"(?:0x)?([0-9a-f]{4})(?:[:.]([0-9a-f]{1,2}))?", re.
 
 
 class Buses:
-    """The observers of a source: each bus in it has its own."""
+    """The observers of a source: each bus in it has its own.
+
+    time: of the last record, ns, as its observer has it: it never goes back, and goes on where a clock was set back. jumps: how
+    often one was.
+    """
 
     def __init__(self, files: NodeFiles, **settings: Any) -> None:
+        self.time: Time = 0
         self._files = files
         self._settings = settings
         self._first: Time | None = None
+        self._clocks = RecordClocks()
         self._observers: dict[str, Observer] = {}
+        self._lost = ""  # the receiver's words, until the observers know them
+        self._is_finding = False
+
+    @property
+    def jumps(self) -> int:
+        return self._clocks.jumps
 
     def observe(self, record: Record) -> tuple[float, Observation]:
         """Return the seconds since the first record, and what is known of this one."""
         if self._first is None:
             self._first = record.time
-        if record.channel not in self._observers:
-            self._observers[record.channel] = Observer(self._files.dictionary_of, **self._settings)
-        observer = self._observers[record.channel]
-        return self.seconds(record.time), observer.observe(record.frame, record.time - self._first)
+        channel = record.channel
+        if not self._observers:
+            self._lost = ""  # nothing was heard before it
+        if channel not in self._observers:
+            self._observers[channel] = Observer(self._files.dictionary_of, **self._settings)
+        jumps = self._clocks.jumps
+        self.time = self._clocks.set(channel, record.time)
+        if self._clocks.jumps > jumps and not self._lost:
+            self._lost = "the clock went back"  # how long nothing was heard is not known
+        now = self.time - self._first
+        found = self._tell_lost(now)
+        observation = self._observers[channel].observe(record.frame, now)
+        if found is not None:
+            observation = observation._replace(findings=(found, *observation.findings))
+        return self.seconds(record.time), observation
 
-    def lost(self, text: str, time: Time) -> BusFinding | None:
-        """Tell the observers that the receiver lost frames of some bus; see `Observer.lost`. None: nothing has come yet."""
-        found = None
-        for observer in self._observers.values():
-            found = observer.lost(text, time - (self._first or 0))
-        return found
+    def lost(self, text: str, *, is_finding: bool = False) -> None:
+        """Take the receiver's own word that it lost frames of some bus before the next record; see `Observer.lost`.
+
+        text: its words. is_finding: this is a finding of that record; else the caller tells it.
+        """
+        self._lost, self._is_finding = text, is_finding
+
+    def _tell_lost(self, now: Time) -> BusFinding | None:
+        """Tell the observers that frames were lost; return that, if it is a finding."""
+        if not self._lost:
+            return None
+        found = [observer.lost(self._lost, now) for observer in self._observers.values()]
+        is_finding, self._lost, self._is_finding = self._is_finding, "", False
+        return found[0] if found and is_finding else None
 
     def idle(self, time: Time) -> Iterator[tuple[str, tuple[BusFinding, ...], tuple[Summary, ...]]]:
         """Return what each bus shows by its silence; see `Observer.idle`. time: all frames before it have been observed."""
+        now = time - (self._first or 0)
+        self._tell_lost(now)
         for channel, observer in self._observers.items():
-            yield channel, *observer.idle(time - (self._first or 0))
+            yield channel, *observer.idle(now)
 
     def unfinished(self) -> Iterator[tuple[str, Summary]]:
         """Return the sequences that are not over yet, each with its bus: behind the last frame."""

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 import trio
 
 from canopen_cli.live import log_diff, log_export, log_plot, log_record
 from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, WantedFrames, choosing
+from canopen_cli.live.log_traffic import traffic_in
 from canopen_cli.live.monitor import FrameMonitor
 from canopen_cli.live.reading import FileReading, watched
-from canopen_cli.live.source import FILE_OR_INPUT, frames_of, rate_of, reader_of, tell_skipped
+from canopen_cli.live.source import (
+    FILE_OR_INPUT,
+    frames_of,
+    overrun_text,
+    rate_of,
+    reader_of,
+    tell_jumps,
+    tell_skipped,
+)
 from canopen_cli.live.window import Window, clocked, time_of_day, windowed
 from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
@@ -26,22 +36,18 @@ from canopen_cli.shared.running import run, same_file
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.monitor_words import event_text, finding_text
 from canopen_master.plain_text import json_text
-from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND
-from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observer
+from canopen_proto.observer.finding import BusFinding
+from canopen_proto.observer.observer import LOAD_LIMIT, RULES
 from canopen_proto.observer.story import KINDS, Story
 from canopen_transports import open_transport
 from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.receive_test import NO_WIRE
-from canopen_transports.record import Record
+from canopen_transports.record import Record, RecordClock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-
-
-LEAST_SPAN: Final = SECOND
-"""From the first frame to the last, in ns: a few frames in less time come at once, and say nothing about a second."""
 
 
 @click.group(cls=NamingGroup)
@@ -75,9 +81,13 @@ def convert(settings: Settings, screen: Screen, source: Path, target: Path, wind
     first = list(islice(records, 1))  # if the source cannot be read, an older target stays
     writer = log_writer(target)
     count = 0
+    overruns = 0
     try:
         for part in (first, records):
             for record in part:
+                if reader.overruns > overruns:  # who reads the copy has to know, too
+                    overruns = reader.overruns
+                    writer.lost(record.time, record.channel)
                 writer.write(record)
                 count += 1
     except LogFileError:
@@ -102,11 +112,17 @@ def convert(settings: Settings, screen: Screen, source: Path, target: Path, wind
 @click.argument("source", metavar="FILE", type=FILE)
 @click.option("--speed", default="1", show_default=True, metavar="FACTOR", help="10 is ten times as fast; max: without waiting.")
 @click.option("--only-sent", is_flag=True, help="Only what the recorder sent, such as a master's side.")
+@click.option("--channel", metavar="NAME", help="Of a file with several buses: the one whose frames are sent.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
 @commanding
-def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_sent: bool, yes: bool, window: Window) -> None:
+def replay(
+    settings: Settings, screen: Screen, source: Path, speed: str, only_sent: bool, channel: str | None, yes: bool, window: Window
+) -> None:
     """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
+
+    The frames of one bus are sent: a file with several is refused without --channel. What was for node 5 of one bus would be for
+    node 5 of the other.
 
     \b
     canopen log replay trace.log -b socketcan:vcan0                  a bus with a wire asks first
@@ -126,23 +142,30 @@ def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_se
             tries=("-b tcp    the bus of `canopen bus serve`", f"canopen log replay {source} -b {bus} --dry-run"),
         )
     reader = LogReader(source)
+
+    def chosen(reader: LogReader) -> Iterator[Record]:
+        for record in records_in(reader, window):
+            if (record.sent or not only_sent) and channel in (None, record.channel):
+                yield record
+
+    _check_channel(source, channel, {record.channel: None for record in _readable(chosen(LogReader(source)))})
     if settings.dry_run:
-        _show_replay(settings, screen, (each for each in records_in(reader, window) if each.sent or not only_sent))
+        _show_replay(settings, screen, chosen(reader))
         tell_skipped(screen, reader)
         return
     confirm(screen, f"send the frames of {source} on {bus}: DRIVES MAY MOVE", yes, needed=_may_have_drives(bus))
 
     async def play() -> int:
-        count = 0
+        count, clock = 0, RecordClock()
         async with await open_transport(bus) as transport:
             start, first = trio.current_time(), None
-            for record in FileReading(screen, reader, records_in(reader, window), look_each=1):
-                first = record.time if first is None else first
+            for record in FileReading(screen, reader, chosen(reader), look_each=1):
+                now = clock.set(record.time)
+                first = now if first is None else first
                 if factor is not None:
-                    await trio.sleep_until(start + (record.time - first) / SECOND / factor)
-                if record.sent or not only_sent:
-                    await transport.send(record.frame)
-                    count += 1
+                    await trio.sleep_until(start + (now - first) / SECOND / factor)
+                await transport.send(record.frame)
+                count += 1
         return count
 
     count = run(settings, screen, play, reads=source)
@@ -157,7 +180,7 @@ def replay(settings: Settings, screen: Screen, source: Path, speed: str, only_se
 @click.option("--bitrate", metavar="RATE", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
 @windowed
 def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window: Window) -> None:
-    """Count the frames of a file: number, rate and bus load of each CAN-ID.
+    """Count the frames of a file: number, rate and bus load of each CAN-ID. Of a file with several buses each is counted apart.
 
     Rates are those of the part that --since and --until name; else from the first frame to the last, if that is a second.
 
@@ -166,46 +189,39 @@ def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window
     canopen log stats trace.log --bitrate 1M --since 10s --until 20s
     """
     rate = rate_of(bitrate)
-    reader, observer = reader_of(source), Observer()
-    frames: Counter[int] = Counter()
-    bits: Counter[int] = Counter()
-    what: dict[int, tuple[str, str, int]] = {}
-    first = last = None
-    for record in watched(screen, reader, frames_of(reader)):
-        frame = record.frame
-        first = record.time if first is None else first
-        last = max(record.time, first if last is None else last)
-        if not window.has(record.time, first):
-            continue
-        frames[frame.key] += 1
-        bits[frame.key] += frame_bits(frame)
-        if frame.key not in what:
-            meaning = observer.observe(frame, record.time).meaning
-            service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first one is the boot-up
-            what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
-    window.require(reader.path)
-    span, is_known = (0, False) if first is None or last is None else window.span(first, last)
-    seconds = span / SECOND
-    if not is_known and span < LEAST_SPAN:
-        span = 0
-    rows = [(*what[key], frames[key], _per(frames[key], span), _per(bits[key] / rate * 100, span)) for key in sorted(what)]
-    total = sum(frames.values())
-    load = _per(sum(bits.values()) / rate * 100, span)
+    reader = reader_of(source)
+    traffic = traffic_in(screen, reader, window)
+    ids, seconds = traffic.ids, traffic.elapsed / SECOND
+    rows = [
+        (each.can_id, each.service, each.node_id, each.frames, traffic.per_second(each.frames),
+         traffic.per_second(each.bits / rate * 100))
+        for each in ids
+    ]  # fmt: skip
+    loads = {
+        channel: traffic.per_second(sum(each.bits for each in ids if each.channel == channel) / rate * 100)
+        for channel in traffic.channels
+    }
+    total = sum(each.frames for each in ids)
     if settings.json:
         names = ("can_id", "service", "node", "frames", "per_second", "load_percent")
-        ids = [dict(zip(names, row, strict=True)) for row in rows]
-        screen.json(
-            {"frames": total, "seconds": seconds, "bitrate": rate, "load_percent": load, "skipped": reader.skipped, "ids": ids}
-        )
+        shown = [{"channel": each.channel, **dict(zip(names, row, strict=True))} for each, row in zip(ids, rows, strict=True)]
+        busiest = max((load for load in loads.values() if load is not None), default=None)
+        counts = {"frames": total, "seconds": seconds, "bitrate": rate, "load_percent": busiest, "skipped": reader.skipped}
+        screen.json({**counts, "ids": shown})
         return
     columns = ("CAN-ID", "service", "node", "frames", "per second", "load %")
-    texts = [
-        (name, service, str(node or ""), str(count), _text(each), _text(share))
-        for name, service, node, count, each, share in rows
-    ]
-    screen.table(columns, texts, right=columns[2:])
-    rates = f"{_text(_per(total, span))} a second, load {_text(load)} % at {bitrate_text(rate)}"
-    screen.data(f"{counted(total, 'frame')} in {seconds:.6g} s, {rates if span else 'too short for a rate'}")
+    for channel, load in loads.items():
+        texts = [
+            (name, service, str(node or ""), str(count), _text(each), _text(share))
+            for traffic_of_id, (name, service, node, count, each, share) in zip(ids, rows, strict=True)
+            if traffic_of_id.channel == channel
+        ]
+        screen.table(columns, texts, right=columns[2:])
+        number = sum(each.frames for each in ids if each.channel == channel)
+        rates = f"{_text(traffic.per_second(number))} a second, load {_text(load)} % at {bitrate_text(rate)}"
+        what = counted(number, "frame") if len(loads) == 1 else f"{channel}: {counted(number, 'frame')}"
+        screen.data(f"{what} in {seconds:.6g} s, {rates if traffic.span else 'too short for a rate'}")
+    tell_jumps(screen, traffic.jumps)
     tell_skipped(screen, reader)
 
 
@@ -277,12 +293,21 @@ def check(settings: Settings, screen: Screen, source: Path, bitrate: str, limit:
         except LogFileError as error:  # what could be read is told: a recorder that was killed leaves half a line
             failure = error
 
+    def tell(record: Record, seconds: float, text: str, fields: dict[str, object]) -> None:
+        """Tell what has happened, or what is wrong, at a frame."""
+        at = f"{time_of_day(record.time):>12}" if clock else f"{seconds:12.6f}"
+        where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
+        line = json_text(where | fields) if settings.json else f"{at} {record.frame!s:<25} {text}"
+        screen.out.out(line, highlight=False)
+
     first, is_begun = None, False
+    seconds = 0.0
     reading = FileReading(screen, reader, readable())
     for number, record in enumerate(reading, 1):
         first = record.time if first is None else first
         is_in = window.has(record.time, first)
         if is_begun and not is_in:
+            overruns = reader.overruns
             continue
         if is_in and not is_begun:
             is_begun = True
@@ -290,38 +315,31 @@ def check(settings: Settings, screen: Screen, source: Path, bitrate: str, limit:
                 each.forget_told()
         if number % 256 == 0:
             screen.check_reader()
-        lost = None
         if reader.overruns > overruns:  # several recorders may be one file: which one lost frames is not looked at
             overruns = reader.overruns
-            is_damage = "is damaged" in reader.last_skip
-            lost = buses.lost(reader.last_skip if is_damage else "the controller of the recorder was overrun", record.time)
+            buses.lost(overrun_text(reader), is_finding=True)
         seconds, observation = buses.observe(record)
-        findings = observation.findings if lost is None else (lost, *observation.findings)
+        findings = observation.findings
         story = stories.get(record.channel)
         if story is None:
             story = stories[record.channel] = Story()
-        events = story.add(record.frame, observation, record.time)
+        events = story.add(record.frame, observation, buses.time)
         shown += is_in
         if not (is_in and (events or findings)):
             continue
-        at = f"{time_of_day(record.time):>12}" if clock else f"{seconds:12.6f}"
-        where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
         reading.clear()
         for event in events:
-            if settings.json:
-                told = {"event": event.kind, "node_id": event.node_id, "text": event.text}
-                screen.out.out(json_text(where | told), highlight=False)
-            else:
-                screen.out.out(f"{at} {record.frame!s:<25} {event_text(event)}", highlight=False)
+            tell(record, seconds, event_text(event), {"event": event.kind, "node_id": event.node_id, "text": event.text})
         for finding in findings:
             counts[finding.rule, finding.is_certain] += 1
-            if settings.json:
-                screen.out.out(json_text(where | finding._asdict()), highlight=False)
-                continue
-            screen.out.out(f"{at} {record.frame!s:<25} {finding_text(finding)}", highlight=False)
+            tell(record, seconds, finding_text(finding), finding._asdict())
     if failure is not None and not number:
         raise failure
     window.require(source)
+    if reader.overruns > overruns and window.until is None:  # behind the last frame; or somewhere, as a capture says at its end
+        finding = BusFinding("missing", 0, f"frames are missing: {overrun_text(reader)}")
+        counts[finding.rule, finding.is_certain] += 1
+        tell(record, seconds, finding_text(finding), finding._asdict())
     total = sum(counts.values())
     events_told = _summed(story.told for story in stories.values())
     repeated = _summed(story.repeated for story in stories.values())
@@ -335,10 +353,31 @@ def check(settings: Settings, screen: Screen, source: Path, bitrate: str, limit:
         likely = sum(count for (_, is_certain), count in counts.items() if not is_certain)
         totals.append(f"{counted(total, 'finding')}{f' ({total - likely} certain, {likely} likely)' if likely else ''}")
     screen.say(f"{counted(shown, 'frame')}, {', '.join(totals) or 'no findings'}")
+    tell_jumps(screen, buses.jumps)
     tell_skipped(screen, reader)
     if failure is not None:
         raise failure
     return ExitCode.DIFFERENT if counts or any(each.is_wrong for each in stories.values()) else ExitCode.OK
+
+
+def _readable(records: Iterator[Record]) -> Iterator[Record]:
+    """Yield the records before the damage, if there is any: who reads them again meets it at its place."""
+    with suppress(LogFileError):
+        yield from records
+
+
+def _check_channel(source: Path, wanted: str | None, channels: Iterable[str]) -> None:
+    """Raise a CommandError if frames of several buses would go to one. channels: those that would be sent, of the wanted bus."""
+    names = list(channels)
+    if wanted is not None and not names:
+        raise usage("CO001", f"no frame of {source} that would be sent is of {wanted}", tries=(f"canopen log stats {source}",))
+    if len(names) > 1:
+        raise usage(
+            "CO001",
+            f"{source} has frames of several buses, and they would all go to one",
+            seen=", ".join(names),
+            tries=tuple(f"--channel {each}" for each in names[:4]),
+        )
 
 
 def _may_have_drives(bus: str) -> bool:
@@ -373,11 +412,6 @@ def _summed(counts: Iterable[dict[str, int]]) -> Counter[str]:
     for each in counts:
         total.update(each)
     return total
-
-
-def _per(count: float, span: int) -> float | None:
-    """Return how many come in a second; None if the span is not known, or is too short to tell. span: ns."""
-    return count * SECOND / span if span else None
 
 
 def _text(number: float | None) -> str:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import click
 
 from canopen_cli.live.frame_lines import WantedFrames
+from canopen_cli.live.log_traffic import Traffic, traffic_in
 from canopen_cli.live.log_values import LoggedValue, values_in
-from canopen_cli.live.reading import watched
-from canopen_cli.live.source import frames_of, reader_of
+from canopen_cli.live.source import reader_of
 from canopen_cli.live.window import Window, windowed
 from canopen_cli.shared.options import FILE, NodeIds, Settings, command
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_proto.machine import SECOND
-from canopen_proto.observer.observer import Observer
 
 COLUMNS: Final = ("what", "one", "other")
 
@@ -31,13 +28,14 @@ class LogDifference(NamedTuple):
     other: Any
 
 
-class Traffic(NamedTuple):
-    """What a recording shows. rates: frames per second by CAN-ID, as candump writes it. names: what each of these carries.
-    values: the last value of each object."""
+class Shown(NamedTuple):
+    """What a recording shows. rates: frames per second by CAN-ID, as candump writes it; None where the recording is too short to
+    tell. names: what each of these carries. values: the last value of each object, as JSON has it. Of a recording with several
+    buses, CAN-IDs and objects have the bus before them."""
 
-    rates: dict[str, float]
+    rates: dict[str, float | None]
     names: dict[str, str]
-    values: dict[str, LoggedValue]
+    values: dict[str, Any]
 
 
 @command("diff")
@@ -58,8 +56,12 @@ def diff(
     canopen log diff before.log after.log
     canopen log diff good.log bad.log -e 5=drive.eds --node 5
     """
-    first, second = (_traffic(settings, screen, each, nodes, window.again()) for each in (one, other))
-    found = [*_rates(first, second, rate / 100), *_values(first, second)]
+    (first, one_values), (second, other_values) = (_read(settings, screen, each, nodes, window) for each in (one, other))
+    has_several = max(len(first.channels), len(second.channels)) > 1
+    mine, others = _shown(first, one_values, has_several), _shown(second, other_values, has_several)
+    found = [*_rates(mine, others, rate / 100), *_values(mine, others)]
+    if not (first.span and second.span):
+        screen.say("[yellow]a recording is too short for a rate: rates are not compared[/]")
     if settings.json:
         screen.json({"one": str(one), "other": str(other), "differences": [each._asdict() for each in found]})
     elif found:
@@ -68,50 +70,51 @@ def diff(
     return ExitCode.DIFFERENT if found else ExitCode.OK
 
 
-def _traffic(settings: Settings, screen: Screen, source: Path, nodes: tuple[int, ...] | None, window: Window) -> Traffic:
-    counts: Counter[str] = Counter()
+def _read(
+    settings: Settings, screen: Screen, source: Path, nodes: tuple[int, ...] | None, window: Window
+) -> tuple[Traffic, list[LoggedValue]]:
+    """Return the frames and the last values of objects in a part of a recording."""
+    traffic = traffic_in(screen, reader_of(source), window.again())
+    found = values_in(settings, screen, source, WantedFrames(nodes), window.again())
+    return traffic, list({(each.record.channel, each.label): each for each in found}.values())
+
+
+def _shown(traffic: Traffic, values: list[LoggedValue], has_several: bool) -> Shown:
+    rates: dict[str, float | None] = {}
     names: dict[str, str] = {}
-    observer = Observer()
-    first: int | None = None
-    begun = last = None
-    reader = reader_of(source)
-    for record in watched(screen, reader, frames_of(reader)):
-        first = record.time if first is None else first
-        if not window.has(record.time, first):
-            continue
-        begun = record.time if begun is None else begun
-        last = record.time
-        key = str(record.frame).partition("#")[0]
-        counts[key] += 1
-        if key not in names:
-            meaning = observer.observe(record.frame, record.time - first).meaning
-            service = "heartbeat" if meaning.service == "boot-up" else meaning.service
-            names[key] = f"{service} of node {meaning.node_id}" if meaning.node_id else service
-    seconds = max((last or 0) - (begun or 0), SECOND) / SECOND
-    values = {value.label: value for value in values_in(settings, screen, source, WantedFrames(nodes), window)}
-    return Traffic({key: count / seconds for key, count in counts.items()}, names, values)
+    for each in traffic.ids:
+        key = f"{each.channel} {each.can_id}" if has_several else each.can_id
+        rate = traffic.per_second(each.frames)
+        before = rates.get(key)
+        rates[key] = rate if before is None or rate is None else before + rate  # a remote frame and its answer have one CAN-ID
+        names.setdefault(key, f"{each.service} of node {each.node_id}" if each.node_id else each.service)
+    labels = {(f"{each.record.channel} " if has_several else "") + each.label: each.plain for each in values}
+    return Shown(rates, names, labels)
 
 
-def _rates(one: Traffic, other: Traffic, allowed: float) -> list[LogDifference]:
+def _rates(one: Shown, other: Shown, allowed: float) -> list[LogDifference]:
     found = []
     for key in sorted(one.rates.keys() | other.rates.keys()):
         name = f"{key} ({one.names.get(key) or other.names[key]})"
         first, second = one.rates.get(key), other.rates.get(key)
-        if first is None or second is None:
-            found.append(LogDifference("CAN-ID", name, _there(first), _there(second)))
-        elif abs(first - second) > allowed * max(first, second):
+        if key not in one.rates or key not in other.rates:
+            there = (_there(each, key) for each in (one, other))
+            found.append(LogDifference("CAN-ID", name, *there))
+        elif first is not None and second is not None and abs(first - second) > allowed * max(first, second):
             found.append(LogDifference("rate", name, f"{first:.3g}/s", f"{second:.3g}/s"))
     return found
 
 
-def _there(rate: float | None) -> str | None:
-    return None if rate is None else f"{rate:.3g}/s"
+def _there(shown: Shown, key: str) -> str | None:
+    """Return how often a CAN-ID comes, in words; None if it does not."""
+    rate = shown.rates.get(key)
+    return None if key not in shown.rates else "there" if rate is None else f"{rate:.3g}/s"
 
 
-def _values(one: Traffic, other: Traffic) -> list[LogDifference]:
+def _values(one: Shown, other: Shown) -> list[LogDifference]:
     found = []
     for label in sorted(one.values.keys() | other.values.keys()):
-        first, second = ((each.values[label].plain if label in each.values else None) for each in (one, other))
+        first, second = one.values.get(label), other.values.get(label)
         if first != second:
             found.append(LogDifference("value", label, first, second))
     return found

@@ -118,11 +118,12 @@ def _long_rows(values: Iterable[LoggedValue]) -> Iterator[Iterable[Any]]:
 
 def _wide_rows(values: list[LoggedValue]) -> Iterator[Iterable[Any]]:
     """Yield a row for each frame, with the last value of each object."""
-    labels = list(dict.fromkeys(value.label for value in values))
-    yield ("time", "seconds", *labels)
+    has_several = len({value.record.channel for value in values}) > 1  # node 5 of one bus is not node 5 of another
+    labels = [f"{value.record.channel} {value.label}" if has_several else value.label for value in values]
     held: dict[str, Any] = dict.fromkeys(labels)
-    for number, value in enumerate(values):
-        held[value.label] = value.plain if value.physical is None else value.physical
+    yield ("time", "seconds", *held)
+    for number, (value, label) in enumerate(zip(values, labels, strict=True)):
+        held[label] = value.plain if value.physical is None else value.physical
         is_last = number + 1 == len(values) or values[number + 1].record is not value.record
         if is_last:
             yield (clock_text(value.record.time), f"{value.seconds:.6f}", *held.values())

@@ -51,25 +51,25 @@ def plot(
     target = source.with_suffix(".png") if output is None else output
     check_plot(target)
     check_new_file(settings, screen, target, str(source))
-    found: dict[str, Curve] = {}
+    curves: dict[tuple[str, str], Curve] = {}  # by bus and object: node 5 of one bus is not node 5 of another
     for value in values_in(settings, screen, source, WantedFrames(nodes, objects=objects), window):
         if value.number is not None:
-            curve = found.setdefault(value.label, Curve(value.label, value.unit, [], []))
+            curve = curves.setdefault((value.record.channel, value.label), Curve(value.label, value.unit, [], []))
             curve.seconds.append(value.seconds)
             curve.values.append(value.number)
+    has_several = len({channel for channel, _ in curves}) > 1
+    found = [each._replace(label=f"{channel} {label}") if has_several else each for (channel, label), each in curves.items()]
     if not found:
         raise CommandError(
             ExitCode.BAD_FILE, "CO342", f"there is no number of {', '.join(objects)} in {source}",
             tries=(f"canopen log decode {source}", "-e FILE, which names objects and PDOs"),
         )  # fmt: skip
-    _draw(target, str(source), list(found.values()))
+    _draw(target, str(source), found)
     if settings.json:
-        curves = [{"object": each.label, "unit": each.unit, "values": len(each.values)} for each in found.values()]
-        screen.json({"file": str(source), "picture": str(target), "curves": curves})
+        drawn = [{"object": each.label, "unit": each.unit, "values": len(each.values)} for each in found]
+        screen.json({"file": str(source), "picture": str(target), "curves": drawn})
     else:
-        rows = [
-            (escape(each.label), *map(_shown, (min(each.values), max(each.values), len(each.values)))) for each in found.values()
-        ]
+        rows = [(escape(each.label), *map(_shown, (min(each.values), max(each.values), len(each.values)))) for each in found]
         screen.table(("object", "lowest", "highest", "values"), rows, right=("lowest", "highest", "values"))
     screen.say(f"{counted(len(found), 'curve')} drawn: [bold]{escape(str(target))}[/]")
 

@@ -21,6 +21,7 @@ from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.time_left import time_left
 from canopen_proto.machine import SECOND, Time
+from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.record import LogWriter, Record
 
@@ -71,9 +72,18 @@ def record(
 
     run_until_interrupted(settings, screen, listen)
     if settings.json:
-        screen.json({"files": [str(each) for each in files.written], "frames": files.frames, "left_out": files.left_out})
+        screen.json(
+            {
+                "files": [str(each) for each in files.written],
+                "frames": files.frames,
+                "left_out": files.left_out,
+                "lost": files.lost,
+            }
+        )
     names = ", ".join(str(each) for each in files.written) or "no file"
     screen.say(f"{counted(files.frames, 'frame')}: [bold]{escape(names)}[/]")
+    if files.lost:
+        screen.say(f"[yellow]{counted(files.lost, 'frame')} lost before they came here[/]")
     if not files.heard:
         screen.say("[yellow]no frame at all was heard[/]")
         return ExitCode.NO_ANSWER
@@ -86,13 +96,16 @@ def record(
 
 
 class _Files:
-    """The file, or one after the other. written: those that are there. frames: in all of them. heard: how many came."""
+    """The file, or one after the other. written: those that are there. frames: in all of them. heard: how many came. lost: how
+    many did not get here, at least."""
 
     def __init__(self, target: Path, rotate: Time | None, keep: int | None) -> None:
         self.written: list[Path] = []
         self.frames = 0
         self.heard = 0
         self.left_out = 0
+        self.lost = 0
+        self._last: tuple[Time, str] = 0, ""  # of the last frame
         self._target = target
         self._rotate = rotate
         self._keep = keep
@@ -105,14 +118,21 @@ class _Files:
             self._begin(record.time)
         assert self._writer is not None
         self._writer.write(record)
+        self._last = record.time, record.channel
         self.frames += 1
+
+    def lose(self, count: int) -> None:
+        """Take note that frames were lost on their way here, and say so in the present file: who reads it would take what is
+        missing for a fault of a node. Raises OSError."""
+        self.lost += count
+        if self._writer is not None:
+            self._writer.lost(*self._last)
 
     def _begin(self, time: Time) -> None:
         self.close()
         path = self._target
         if self._rotate is not None:
-            moment = datetime.datetime.fromtimestamp(time / SECOND)
-            path = self._target.with_stem(f"{self._target.stem}-{moment.strftime(NAMED)}")
+            path = self._new_path(f"{self._target.stem}-{datetime.datetime.fromtimestamp(time / SECOND).strftime(NAMED)}")
             self._ends = time + self._rotate
         self._writer = log_writer(path)
         self.written.append(path)
@@ -120,6 +140,14 @@ class _Files:
             with suppress(OSError):  # somebody else has taken it away
                 self.written[0].unlink()
             del self.written[0]
+
+    def _new_path(self, stem: str) -> Path:
+        """Return a path where there is no file yet: an hour may come twice, as at the end of summer time."""
+        path, number = self._target.with_stem(stem), 1
+        while path.exists():
+            number += 1
+            path = self._target.with_stem(f"{stem}-{number}")
+        return path
 
     def close(self) -> None:
         """End the present file."""
@@ -136,6 +164,8 @@ async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files
         buses = Buses(choice.files)
         async for heard in live:
             if not isinstance(heard, Record):
+                if isinstance(heard, ReceiveOverrun):
+                    files.lose(heard.lost)
                 screen.say(f"[yellow]{escape(heard.failed)}: {escape(heard.seen)}[/]")
                 continue
             files.heard += 1

@@ -10,7 +10,7 @@ import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, WantedFrames, choosing
 from canopen_cli.live.line_writer import LineWriter, open_line_writer
-from canopen_cli.live.source import Heard, LiveSource, no_file, open_live_source, recorded, tell_skipped
+from canopen_cli.live.source import DEAF, Heard, LiveSource, no_file, open_live_source, recorded, tell_jumps, tell_skipped
 from canopen_cli.live.window import Window, clocked
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, command, lasting, until_text
@@ -18,7 +18,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_proto.machine import SECOND, Time
-from canopen_transports.errors import ReceiveOverrun
+from canopen_transports.errors import BusStateChanged, ReceiveOverrun
 from canopen_transports.record import Record
 
 QUIET: Final = 0.5
@@ -87,6 +87,7 @@ class FrameMonitor:
         self._live: LiveSource | None = None
         self._writer: LineWriter | None = None
         self._begin: Time | None = None
+        self._is_deaf = False  # the bus is away: that nothing comes says nothing about a node
         self._frames = 0
         self._in_window = 0
         self._shown = 0
@@ -113,11 +114,12 @@ class FrameMonitor:
                 lines.measure()
                 for heard in taken or ():
                     await self._tell(heard, buses, lines, writer)
-                if taken is None:
+                if taken is None and not self._is_deaf:
                     await self._tell_silence(live.now() - LATE, buses, lines, writer)
             for channel, summary in buses.unfinished():
                 if self._choice.tells(summary):
                     await writer.put(lines.summary(live.now(), channel, summary))
+            tell_jumps(self._screen, buses.jumps)
             self._window.require(live.name)
 
     async def _tell(self, heard: Heard, buses: Buses, lines: FrameLines, writer: LineWriter) -> None:
@@ -138,7 +140,13 @@ class FrameMonitor:
                 await writer.put(lines.frame(seconds, heard, observation))
         elif self._live is not None:
             if isinstance(heard, ReceiveOverrun):
-                buses.lost(heard.seen, self._live.now())  # the line below tells it
+                buses.lost(heard.seen, is_finding=not self._live.is_live)
+                if not self._live.is_live:
+                    return  # the next record tells it, at its time
+            elif isinstance(heard, BusStateChanged):
+                was_deaf, self._is_deaf = self._is_deaf, heard.state in DEAF
+                if was_deaf or self._is_deaf:
+                    buses.lost(heard.seen)  # what passes on the bus while it is away, nobody hears
             await writer.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
 
     async def _tell_silence(self, time: Time, buses: Buses, lines: FrameLines, writer: LineWriter) -> None:

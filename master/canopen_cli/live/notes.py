@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_cli.live.clocks import FrameClock
-from canopen_cli.live.source import LiveSource, skipped_text
+from canopen_cli.live.source import LiveSource, jumps_text, skipped_text
 from canopen_cli.shared.screen import counted
 from canopen_transports.errors import BusState
 
@@ -32,4 +32,4 @@ def note_source(notes: dict[str, str], source: LiveSource | None, clock: FrameCl
         if source.skipped:
             notes["skipped"] = skipped_text(source)
     if clock.jumps:
-        notes["clock"] = f"the clock of the frames went back {counted(clock.jumps, 'time')}; time goes on from there"
+        notes["clock"] = jumps_text(clock.jumps)

@@ -80,8 +80,10 @@ def no_file(command: Any) -> Any:
 
 
 Heard: TypeAlias = Record | Report
-"""A frame; or, from a bus, the report of a loss or of the bus's state, at its place among the frames."""
+"""A frame; or the report of a loss, or of the state of a bus, at its place among the frames. A recording has only losses."""
 
+DEAF: Final = (BusState.DOWN, BusState.BUS_OFF)
+"""A bus in one of these states is not heard: that nothing comes says nothing about a node."""
 BATCH: Final = 256
 """The most frames that are handed over at once; between two batches other tasks run."""
 AHEAD: Final = 4096
@@ -181,6 +183,23 @@ def skipped_text(source: LogReader | LiveSource) -> str:
     return f"{counted(source.skipped, 'entry')} passed over, the last: {source.last_skip}"
 
 
+def overrun_text(reader: LogReader) -> str:
+    """Return why frames are missing from a recording before the record that was read last."""
+    is_by_controller = reader.last_overrun == "an error frame"
+    return "the controller of the recorder was overrun" if is_by_controller else reader.last_overrun
+
+
+def tell_jumps(screen: Screen, jumps: int) -> None:
+    """Tell how often the clock of a recording went back, if it did."""
+    if jumps:
+        screen.say(f"[yellow]{jumps_text(jumps)}[/]")
+
+
+def jumps_text(jumps: int) -> str:
+    """Return how often the clock of the frames went back. jumps: at least 1."""
+    return f"the clock of the frames went back {counted(jumps, 'time')}; time goes on from there"
+
+
 def frames_of(reader: LogReader) -> Generator[Record]:
     """Yield the frames of a recording, as all commands read it.
 
@@ -239,27 +258,33 @@ class _Recording(LiveSource):
         self._reading = None if screen is None else FileReading(screen, reader, self._read)
         self._records = self._read if self._reading is None else iter(self._reading)
         self._failure: Exception | None = None
+        self._overruns = 0
 
     async def take(self) -> list[Heard]:
         await trio.lowlevel.checkpoint()
-        found: list[Record] = []
-        while len(found) < BATCH and (record := self._next()) is not None:
-            found.append(record)
+        found: list[Heard] = []
+        while len(found) < BATCH and (heard := self._next()):
+            found += heard
         return self._handed_over(found)
 
-    def _next(self) -> Record | None:
+    def _next(self) -> list[Heard]:
+        """Return the next record, behind the report of what the recorder lost before it; nothing at the end."""
         try:
-            return next(self._records, None)
+            record = next(self._records, None)
         except (LogFileError, CommandError) as error:  # told after all records before it
             self._failure = error
-            return None
+            return []
+        if record is None:
+            return []
+        lost, self._overruns = self._reader.overruns - self._overruns, self._reader.overruns
+        return [ReceiveOverrun(self.name, lost, overrun_text(self._reader)), record] if lost else [record]
 
-    def _handed_over(self, found: list[Record]) -> list[Heard]:
+    def _handed_over(self, found: list[Heard]) -> list[Heard]:
         if found:
-            self._last = found[-1].time
+            self._last = next((each.time for each in reversed(found) if isinstance(each, Record)), self._last)
         elif self._failure is not None:
             raise self._failure
-        return [*found]
+        return found
 
     def clear(self) -> None:
         if self._reading is not None:
@@ -284,7 +309,7 @@ class _Stream(_Recording):
 
     def __init__(self, reader: LogReader) -> None:
         super().__init__(reader, None)
-        self._ready: deque[Record] = deque()
+        self._ready: deque[Heard] = deque()
         self._room = threading.Semaphore(AHEAD)
         self._is_over = False
         self._woken = trio.Event()
@@ -308,9 +333,10 @@ class _Stream(_Recording):
 
     def _run(self) -> None:
         with suppress(trio.RunFinishedError), closing(self._read):  # the run has ended: nobody takes any more
-            while not self._is_over and (record := self._next()) is not None:
-                self._room.acquire()
-                self._ready.append(record)
+            while not self._is_over and (heard := self._next()):
+                for each in heard:
+                    self._room.acquire()
+                    self._ready.append(each)
                 self._token.run_sync_soon(self._wake, idempotent=True)
             self._is_over = True
             self._token.run_sync_soon(self._wake)

@@ -15,7 +15,7 @@ from rich.console import RenderableType
 from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_source, note_state
 from canopen_cli.live.screen import LiveScreen
-from canopen_cli.live.source import LiveSource, no_file, open_live_source, rate_of, recorded
+from canopen_cli.live.source import DEAF, LiveSource, no_file, open_live_source, rate_of, recorded
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, command, lasting
@@ -65,13 +65,15 @@ def top(settings: Settings, screen: Screen, source: Path | None, once: bool, sor
 
 
 class _ObservedBus:
-    """One bus: each in a file has its own observer. last: the time of its last frame."""
+    """One bus: each in a file has its own observer. last: the time of its last frame. lost: why frames behind
+    that one were not heard; "" if all were."""
 
     def __init__(self, name: str, observer: Observer, view: BusView) -> None:
         self.name = name
         self.observer = observer
         self.view = view
         self.last: Time = 0
+        self.lost = ""
 
 
 class _Top:
@@ -104,7 +106,12 @@ class _Top:
             async for each in live:
                 if isinstance(each, Record):
                     self._take(each)
-                elif isinstance(each, BusStateChanged):
+                    continue
+                state = each.state if isinstance(each, BusStateChanged) else None
+                if state is None or state in DEAF or self._state in DEAF:
+                    for bus in self._buses.values():  # what was lost, or passes while the bus is away, nobody hears
+                        bus.lost = each.seen
+                if isinstance(each, BusStateChanged):
                     self._state = each.state
                     note_state(self._notes, each.state, each.seen)
 
@@ -117,7 +124,12 @@ class _Top:
         if bus is None:
             observer = Observer(self._files.dictionary_of, bitrate=self._bitrate)
             bus = self._buses[record.channel] = _ObservedBus(record.channel, observer, BusView(bitrate=self._bitrate))
-        bus.view.add(record.frame, bus.observer.observe(record.frame, now), now)
+        lost = bus.observer.lost(bus.lost, now) if bus.lost else None
+        bus.lost = ""
+        observation = bus.observer.observe(record.frame, now)
+        if lost is not None:
+            observation = observation._replace(findings=(lost, *observation.findings))
+        bus.view.add(record.frame, observation, now)
         bus.last = now
 
     # ---- what is shown ----

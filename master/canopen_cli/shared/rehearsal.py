@@ -94,6 +94,9 @@ class Frames:
     def write(self, record: Record) -> None:
         self.records.append(record)
 
+    def lost(self, time: int, channel: str) -> None:
+        """Likenesses lose nothing."""
+
     def close(self) -> None:
         """Nothing to close."""
 

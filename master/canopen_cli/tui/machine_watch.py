@@ -162,7 +162,7 @@ class MachineWatch:
                     self._add_line(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
         left, self.left = self.left, 0
         if left:
-            self._buses.lost(f"{counted(left, 'frame')} came too fast for this view", self._trace.now())
+            self._buses.lost(f"{counted(left, 'frame')} came too fast for this view")
         for number in range(len(self._records)):
             if number % AT_ONCE == AT_ONCE - 1:
                 await trio.lowlevel.checkpoint()
