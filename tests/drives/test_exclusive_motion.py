@@ -11,8 +11,9 @@ import pytest
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.slow_position import start_slow_position
-from canopen_proto.drives.cia402.states import ControlBit, State
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.drives.cia402.states import Command, ControlBit, State
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, Outbox, RequestId
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -147,3 +148,38 @@ def test_a_procedure_that_was_given_up_leaves_the_axis_free() -> None:
     moving.send(None)
     moving.close()
     rig.run(drive.move_to(rig.axis, 0.1, timeout=60 * SECOND))
+
+
+def words_since(rig: Rig, began: int) -> list[int]:
+    """The controlwords that went by SDO behind the first `began` frames."""
+    writes = (frame.data for _, frame in rig.bus.sent[began:] if frame.can_id == 0x605 and frame.data[:3] == b"\x2b\x40\x60")
+    return [data[4] | data[5] << 8 for data in writes]
+
+
+@pytest.mark.parametrize("stop", STOPS)
+@pytest.mark.parametrize("motion", ["move_to", "run_at"])
+def test_no_command_that_waits_behind_another_transfer_undoes_a_stop(motion: str, stop: str) -> None:
+    """Somebody reads an object, and the answer is lost: for 500 ms all others wait. The stop goes first of them."""
+    for step in range(45):
+        rig = rig_of()
+        deliver = rig.bus._deliver
+
+        def lose(receiver: Outbox, frame: Frame, deliver: Callable[[Outbox, Frame], None] = deliver) -> None:
+            if frame.can_id != 0x585 or frame.data[1:3] != b"\x00\x10":
+                deliver(receiver, frame)
+
+        rig.bus._deliver = lose  # type: ignore[method-assign]
+        moving = rig.master.run(MOTIONS[motion](rig.axis), rig.bus.now)
+        rig.bus.run(step * MILLISECOND // 5)
+        rig.remote.read("0x1000", rig.bus.now)
+        rig.bus.run(100 * MILLISECOND)
+        began = len(rig.bus.sent)
+        stopping = rig.master.run(STOPS[stop](rig.axis), rig.bus.now)
+        assert isinstance(rig.outcome(stopping), ProcedureFinished)
+        rig.outcome(moving)
+        rig.bus.run(SECOND)
+        here = rig.run(drive.read_position(rig.axis))
+        rig.bus.run(SECOND)
+        assert rig.run(drive.read_position(rig.axis)) == here
+        assert stop == "halt" or rig.drive.state is not State.OPERATION_ENABLED
+        assert all(word & ControlBit.HALT for word in words_since(rig, began) if word & 0x0F == Command.ENABLE_OPERATION)

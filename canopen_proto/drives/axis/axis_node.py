@@ -88,6 +88,9 @@ class AxisNode(ObjectAccess, Protocol):
     def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
         """See RemoteNode."""
 
+    def drop_waiting(self, mux: Mux, now: Time) -> None:
+        """See RemoteNode."""
+
     def add_listener(
         self,
         listener: Listener | None = None,
@@ -184,6 +187,9 @@ class FurtherAxis:
 
     def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
         return self._node.replace_held(self.on_device(mux), value, now)
+
+    def drop_waiting(self, mux: Mux, now: Time) -> None:
+        self._node.drop_waiting(self.on_device(mux), now)
 
     def add_listener(
         self,

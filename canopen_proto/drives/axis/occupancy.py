@@ -28,6 +28,11 @@ class Occupancy:
         self.stops = 0
         self.is_inside = False
 
+    @property
+    def is_being_stopped(self) -> bool:
+        """Whether a stop runs, or has taken over from what moves the axis: nothing else may command it."""
+        return self.stops > 0 or (self.occupant is not None and bool(self.occupant.taken_over_by))
+
     def occupy(self, name: str) -> Occupant:
         """Note what moves the axis from now on, for longer than a procedure: `release` ends it. The caller looks at
         `taken_over_by`. name: of the command, for error texts."""
