@@ -292,3 +292,13 @@ def test_what_waited_in_a_cancelled_set_stands_in_nobodys_way(points: int, setti
     rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT) if second == "move_to" else along(rig, ProfileTarget(1)))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(1, abs=0.05)
     assert rig.bus.now - began < 4 * SECOND, "it went there at once"
+
+
+def test_no_target_leads_beyond_a_limit_because_the_drive_stood_beyond_it() -> None:
+    """It may stay there and come back, but not go there once more."""
+    rig = rig_at_zero(position=22_000)
+    rig.axis.settings = replace(DEGREES, max_position=20.0, keeps_reference=True)
+    with pytest.raises(drive.LimitReachedError, match=r"was not moved to 21\.5: the settings \(max_position\) say 20"):
+        rig.run(along(rig, ProfileTarget(10), ProfileTarget(21.5), ProfileTarget(0)))
+    assert not words_of(rig)
+    assert turning_points(rig, ProfileTarget(21.5), ProfileTarget(21), ProfileTarget(0)) == [22.0, 21.5, 21.0, 0.0]

@@ -180,6 +180,7 @@ class _Feeder:
         self._target = start = yield from demand_of(axis)
         known: int | None = start
         for point in points:
+            start = start if known is None else known  # a target beyond a limit is allowed from further beyond it only
             known = self._absolute(point, known)
             axis.node.encode(objects.TARGET_POSITION, self._way(point) if known is None else known)
             if known is not None and not axis.has_lost_reference:
