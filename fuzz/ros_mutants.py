@@ -57,6 +57,22 @@ ROS_MUTANTS: Final = tuple(
             TAKE_OVER,
         ),
         (
+            "stopped_for_a_moment",
+            _CHAIN,
+            "        self._take_over.interrupt()\n        goals, motion",
+            "        goals, motion",
+            "the next message of a joystick undoes an empty trajectory, which stops the arm",
+            TAKE_OVER,
+        ),
+        (
+            "over_is_empty",
+            "canopen_ros/goals.py",
+            "if late >= points[-1].time:",
+            "if late > points[-1].time:",
+            "a trajectory that is just over stops the arm, and has succeeded",
+            ("tests/ros/test_goals.py",),
+        ),
+        (
             "place_of_rest_unseen",
             _CHAIN,
             "aims = {place: target + braking_way(speeds.get(place, 0.0), limits[place]) for",

@@ -260,6 +260,16 @@ async def test_a_start_in_the_past_leaves_out_what_is_over() -> None:
         assert 2.0 <= trio.current_time() - now < 2.9
 
 
+@virtual_time
+async def test_a_trajectory_that_ends_just_now_is_over_and_is_no_empty_one() -> None:
+    """Its joints never went along it, so it has not succeeded; and it stops nothing."""
+    async with cell() as world:
+        await world.ask("init")
+        over = goal(P([0.5, 0.5], time_from_start=1.0), start=wall() - 1_000_000_000)
+        result = await world.arm.follow(over)
+        assert (result.code, result.outcome) == (GoalCode.OLD_HEADER_TIMESTAMP, GoalOutcome.REJECTED)
+
+
 @pytest.mark.thorough(2)
 @pytest.mark.parametrize(("service", "code"), [("halt", -4), ("shutdown", -4), ("home", -4), ("init", -4)])
 @virtual_time
