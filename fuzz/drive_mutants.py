@@ -101,9 +101,25 @@ DRIVE_MUTANTS: Final = tuple(
         (
             "stop_undone",
             "drives/axis/exclusive_motion.py",
-            "                yield from act(lambda now: axis.node.drop_waiting(objects.CONTROLWORD, now))\n",
-            "",
+            "if occupancy.stops == 1:",
+            "if False:",
             "a command that waits behind another SDO transfer goes out behind the stop, and starts the motion",
+            EXCLUSIVE,
+        ),
+        (
+            "patient_motion",
+            "drives/axis/exclusive_motion.py",
+            "            if occupancy.stops_begun != stops_before:",
+            "            if False:",
+            "a motion that waits for the halt of the one before outlives a stop, and moves the axis behind it",
+            EXCLUSIVE,
+        ),
+        (
+            "stops_drop_stops",
+            "drives/axis/exclusive_motion.py",
+            "if occupancy.stops == 1:",
+            "if True:",
+            "a stop takes the word of another stop that waits, which fails then",
             EXCLUSIVE,
         ),
         (

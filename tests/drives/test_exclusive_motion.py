@@ -120,6 +120,47 @@ def test_a_motion_waits_for_the_halt_of_the_one_before() -> None:
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.0, abs=0.001)
 
 
+@pytest.mark.parametrize("stop", STOPS)
+def test_a_stop_ends_a_motion_that_waits_for_the_halt_of_the_one_before(stop: str) -> None:
+    """It was commanded before the stop: behind it, it would move the axis that was told to stand."""
+    rig = rig_of()
+    first = begun(rig, MOTIONS["move_to"])
+    rig.master.cancel(first, rig.bus.now)
+    waiting = rig.master.run(MOTIONS["move_to"](rig.axis), rig.bus.now)
+    rig.bus.run(20 * MILLISECOND)
+    assert isinstance(rig.outcome(rig.master.run(STOPS[stop](rig.axis), rig.bus.now)), ProcedureFinished)
+    ended = rig.outcome(waiting)
+    assert isinstance(ended, ProcedureFailed)
+    assert str(ended.error).startswith(f"drive 5 was taken from move_to: {stop} took over")
+    rig.bus.run(SECOND)  # a quick stop is over once the drive brakes
+    here = rig.run(drive.read_position(rig.axis))
+    rig.bus.run(SECOND)
+    assert rig.run(drive.read_position(rig.axis)) == here
+
+
+def test_a_stop_beside_another_one_takes_no_command_from_it() -> None:
+    """The first one has a word that waits behind a read without an answer; both succeed."""
+    for step in range(20):
+        rig = rig_of()
+        rig.run(drive.change_state(rig.axis, State.SWITCHED_ON))
+        rig.bus.run(200 * MILLISECOND)  # its state is read anew
+        deliver = rig.bus._deliver
+
+        def lose(receiver: Outbox, frame: Frame, deliver: Callable[[Outbox, Frame], None] = deliver) -> None:
+            if frame.can_id != 0x585 or frame.data[1:3] != b"\x00\x10":
+                deliver(receiver, frame)
+
+        rig.bus._deliver = lose  # type: ignore[method-assign]
+        brake = rig.master.run(drive.engage_brake(rig.axis), rig.bus.now)
+        rig.bus.run(step * MILLISECOND // 10)
+        rig.remote.read("0x1000", rig.bus.now)
+        rig.bus.run(MILLISECOND)
+        again = rig.master.run(drive.engage_brake(rig.axis), rig.bus.now)
+        assert isinstance(rig.outcome(brake), ProcedureFinished)
+        assert isinstance(rig.outcome(again), ProcedureFinished)
+        assert rig.drive.state is State.READY_TO_SWITCH_ON
+
+
 def test_a_motion_waits_for_a_stop() -> None:
     rig = rig_of()
     first = begun(rig, MOTIONS["run_at"])

@@ -2,7 +2,7 @@
 
 **A motion** (`moves`: move_to, home, run_at, set_mode, enable ...) is refused with AxisBusyError, before anything is sent, while
 another one is under way. It waits while the axis is being halted: by a stop, or as the clean-up of a motion that failed or was
-cancelled.
+cancelled. A stop that begins meanwhile ends it, too.
 
 **A stop** (`stops`: halt, quick_stop, and what leads a drive down) begins at once. The motion under way ends with TakenOverError
 as soon as its present step ends (10 ms, or an answer), and sends no further controlword. A controlword of it that waits behind
@@ -41,10 +41,13 @@ def moves(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[C
         occupancy = axis.occupancy
         if occupancy.is_inside:
             return (yield from procedure(axis, *args, **kwargs))
+        stops_before = occupancy.stops_begun
         while occupancy.stops or occupancy.occupant is not None:
             if occupancy.occupant is not None and not occupancy.occupant.is_ending:
                 raise AxisBusyError(axis, name, occupancy.occupant.name)
             yield from sleep(LOOK)
+            if occupancy.stops_begun != stops_before:
+                raise TakenOverError(axis, name, occupancy.last_stop)
         occupant = occupancy.occupy(name)
         try:
             return (yield from _inside(axis, procedure(axis, *args, **kwargs), occupant))
@@ -73,7 +76,8 @@ def stops(
             has_taken_over = occupancy.take_over(name)
             occupancy.stops += 1
             try:
-                yield from act(lambda now: axis.node.drop_waiting(objects.CONTROLWORD, now))
+                if occupancy.stops == 1:  # else what waits is another stop's
+                    yield from act(lambda now: axis.node.drop_waiting(objects.CONTROLWORD, now))
                 return (yield from _inside(axis, procedure(axis, *args, **kwargs), None))
             except (Cancelled, Exception) as cause:
                 if has_taken_over and clean_up is not None:

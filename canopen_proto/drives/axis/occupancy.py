@@ -17,15 +17,17 @@ class Occupant:
 
 
 class Occupancy:
-    """See this module's text. occupant: None if nothing moves the axis. stops: how many run. is_inside: whether code of one of
-    these procedures runs at this moment, so that those it calls are parts of it.
+    """See this module's text. occupant: None if nothing moves the axis. stops: how many run. stops_begun: how many have begun so
+    far; last_stop: the name of the last one. is_inside: whether code of one of these procedures runs at this moment, so that
+    those it calls are parts of it.
     """
 
-    __slots__ = ("is_inside", "occupant", "stops")
+    __slots__ = ("is_inside", "last_stop", "occupant", "stops", "stops_begun")
 
     def __init__(self) -> None:
         self.occupant: Occupant | None = None
-        self.stops = 0
+        self.stops = self.stops_begun = 0
+        self.last_stop = ""
         self.is_inside = False
 
     @property
@@ -45,8 +47,9 @@ class Occupancy:
             self.occupant = None
 
     def take_over(self, name: str) -> bool:
-        """Tell the occupant that a stop ends it; return whether there is one that has not been told. name: of the stop, for error
-        texts."""
+        """Note a stop that begins. Tell the occupant that it ends it; return whether there is one that has not been told. name:
+        of the stop, for error texts."""
+        self.stops_begun, self.last_stop = self.stops_begun + 1, name
         occupant = self.occupant
         if occupant is None or occupant.taken_over_by:
             return False
