@@ -107,6 +107,14 @@ DRIVE_MUTANTS: Final = tuple(
             EXCLUSIVE,
         ),
         (
+            "led_back",
+            _HALTING,
+            "axis.commanded & COMMAND_BITS in STAYS.values():",
+            "False:",
+            "a halt enables a drive again that another stop has led down",
+            EXCLUSIVE,
+        ),
+        (
             "patient_motion",
             "drives/axis/exclusive_motion.py",
             "            if occupancy.stops_begun != stops_before:",

@@ -161,6 +161,22 @@ def test_a_stop_beside_another_one_takes_no_command_from_it() -> None:
         assert rig.drive.state is State.READY_TO_SWITCH_ON
 
 
+@pytest.mark.parametrize("stop", ["engage_brake", "shut_down", "change_state_down"])
+def test_a_halt_does_not_lead_back_a_drive_that_another_stop_leads_down(stop: str) -> None:
+    """The drive acts 40 ms later, so it still shows that it is enabled: bit 8 comes with the command to enable."""
+    for later in range(0, 50, 2):
+        rig = rig_of()
+        rig.node.drives[0].settings = replace(rig.node.drives[0].settings, reaction=40 * MILLISECOND)
+        begun(rig, MOTIONS["move_to"])
+        down = rig.master.run(STOPS[stop](rig.axis), rig.bus.now)
+        rig.bus.run(later * MILLISECOND)
+        halting = rig.master.run(drive.halt(rig.axis), rig.bus.now)
+        assert isinstance(rig.outcome(halting), ProcedureFinished)
+        assert isinstance(rig.outcome(down), ProcedureFinished)
+        rig.bus.run(SECOND)
+        assert rig.drive.state is not State.OPERATION_ENABLED
+
+
 def test_a_motion_waits_for_a_stop() -> None:
     rig = rig_of()
     first = begun(rig, MOTIONS["run_at"])
