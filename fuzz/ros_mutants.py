@@ -65,6 +65,22 @@ ROS_MUTANTS: Final = tuple(
             TAKE_OVER,
         ),
         (
+            "begun_in_any_order",
+            "canopen_ros/threads.py",
+            "await self._nursery.start(self._waiting[0])",
+            "self._nursery.start_soon(self._nursery.start, self._waiting[0])",
+            "a goal and the stop behind it come in one turn: the stop goes first, and the goal moves the arm",
+            ("tests/ros/test_goals.py",),
+        ),
+        (
+            "drops_what_is_later",
+            _CHAIN,
+            "for other in self._goals[: self._goals.index(motion)]:",
+            "for other in self._goals:",
+            "a goal that begins drops one that came after it: the arm goes to the older target",
+            ("tests/ros/test_goals.py",),
+        ),
+        (
             "over_is_empty",
             "canopen_ros/goals.py",
             "if late >= points[-1].time:",

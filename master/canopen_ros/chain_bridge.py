@@ -434,8 +434,8 @@ class ChainBridge:
 
         def begins() -> None:
             self._take_over.begins(source)
-            for other in self._goals:
-                if other is not motion and not other.has_begun:
+            for other in self._goals[: self._goals.index(motion)]:  # a later one takes over from this one by itself
+                if not other.has_begun:
                     other.cancel("another trajectory came")
             if accepted is not None:
                 accepted()
