@@ -91,6 +91,14 @@ DRIVE_MUTANTS: Final = tuple(
             SEQUENCE,
         ),
         (
+            "runs_on_beyond",
+            "drives/axis/target_sequence.py",
+            "                if limit is not None:\n                    reason",
+            "                if False:\n                    reason",
+            "a drive that passes its target, and waits for the next one, runs on beyond its limit",
+            SEQUENCE,
+        ),
+        (
             "halted_too_late_in_vl",
             "drives/axis/velocity.py",
             "keys = {1: objects.VL_VELOCITY_DECELERATION, 2: objects.VL_VELOCITY_QUICK_STOP}",
