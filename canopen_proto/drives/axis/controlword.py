@@ -72,7 +72,8 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
         axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
-    axis.commanded, axis.commanded_at = controlword & 0xFFFF, (yield from current_time())
+    axis.commanded_at = yield from current_time()
+    axis.commanded = controlword & 0xFFFF
     yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF, urgent=urgent)
     if is_start:
         axis.started_at = yield from current_time()
