@@ -117,7 +117,7 @@ DRIVE_MUTANTS: Final = tuple(
         (
             "led_back",
             _HALTING,
-            "axis.commanded & COMMAND_BITS in STAYS.values():",
+            "is_last and word & COMMAND_BITS in STAYS.values():",
             "False:",
             "a halt enables a drive again that another stop has led down",
             EXCLUSIVE,

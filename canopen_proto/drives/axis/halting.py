@@ -207,11 +207,13 @@ def _halt_word(axis: Axis) -> Procedure[int]:
     Bit 8 comes with the command to enable. A drive that another stop has just told to leave Operation enabled, and that has not
     shown it yet, would be led back by it: it gets the word of that stop once more.
     """
-    told_at = axis.commanded_at
-    if told_at is not None and axis.commanded & COMMAND_BITS in STAYS.values():
+    told_at, word = axis.commanded_at, axis.commanded
+    # A write past the axis that was not confirmed may have come behind it
+    is_last = not any(map(enables_operation, axis.node.may_hold(objects.CONTROLWORD) - {axis.controlword}))
+    if told_at is not None and is_last and word & COMMAND_BITS in STAYS.values():
         now = yield from current_time()
         if now - told_at < axis.reaction_time:
-            return axis.commanded
+            return word
     is_enabling = axis.controlword & 0x0F == Command.ENABLE_OPERATION
     return (axis.controlword if is_enabling else int(Command.ENABLE_OPERATION)) | ControlBit.HALT
 
