@@ -55,7 +55,7 @@ from canopen_proto.group import Entrance, Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
-from canopen_proto.multiplexer import Mux, mux
+from canopen_proto.multiplexer import Mux, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.mapping import Mapping
@@ -226,6 +226,15 @@ class RemoteNode(Group):
         was_open = any(client.cancel(request_id, now) for client in self._clients)
         self._settle(mark, now)
         return was_open
+
+    def drop_waiting(self, mux: Mux, now: Time) -> None:
+        """Give up the writes of an object that wait, unless they are urgent: nothing of them was sent. SdoAborted (CANCELLED)
+        follows for each.
+
+        For an urgent write of the same object, which goes before them: sent behind it, they would undo it.
+        """
+        for request_id in self.sdo.waiting_writes(*split_mux(mux)):
+            self.cancel(request_id, now)
 
     def add_sdo_channel(self, request_key: RoutingKey, response_key: RoutingKey) -> SdoClient:
         """Return a client for another SDO server of the node (0x1201 and on). request_key: to the server; response_key: from it.

@@ -17,6 +17,10 @@ HOMED: Final = ("tests/drives/test_homed_means_homed.py",)
 KILLS: Final = ("tests/drives/test_kill_table.py",)
 STOP_FIRST: Final = ("tests/drives/test_stop_first.py",)
 BY_HAND: Final = ("tests/master/test_enabled_by_hand.py",)
+EXCLUSIVE: Final = ("tests/drives/test_exclusive_motion.py",)
+RUN_AT: Final = ("tests/drives/test_run_at.py",)
+SEQUENCE: Final = ("tests/drives/test_target_sequence.py",)
+SLOW: Final = ("tests/drives/test_slow_position.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 
 _STATE: Final = "drives/axis/state.py"
@@ -69,6 +73,86 @@ DRIVE_MUTANTS: Final = tuple(
             "ROUNDING: Final = 0.0",
             "a path ends some counts beyond what the object of its set-points can hold, and is refused while the joints move",
             LIMITS,
+        ),
+        (
+            "brakes_too_hard",
+            "drives/axis/limits.py",
+            "for key in (objects.MAX_ACCELERATION, objects.MAX_DECELERATION):",
+            "for key in (objects.MAX_ACCELERATION,):",
+            "a path brakes harder than its drive may: the joint goes on beyond its end, and beyond its limit",
+            (*LIMITS, "tests/master/test_path_motion.py"),
+        ),
+        (
+            "beyond_once_more",
+            "drives/axis/target_sequence.py",
+            "            start = start if known is None else known",
+            "            pass",
+            "a drive that stood beyond a limit comes back, and is sent beyond it again",
+            SEQUENCE,
+        ),
+        (
+            "runs_on_beyond",
+            "drives/axis/target_sequence.py",
+            "                if limit is not None:\n                    reason",
+            "                if False:\n                    reason",
+            "a drive that passes its target, and waits for the next one, runs on beyond its limit",
+            SEQUENCE,
+        ),
+        (
+            "halted_too_late_in_vl",
+            "drives/axis/velocity.py",
+            "keys = {1: objects.VL_VELOCITY_DECELERATION, 2: objects.VL_VELOCITY_QUICK_STOP}",
+            "keys = {1: objects.VL_VELOCITY_DECELERATION, 2: objects.VL_VELOCITY_DECELERATION}",
+            "a drive whose halt goes by a slow quick stop ramp runs on beyond its position limit",
+            RUN_AT,
+        ),
+        (
+            "stop_undone",
+            "drives/axis/exclusive_motion.py",
+            "if occupancy.stops == 1:",
+            "if False:",
+            "a command that waits behind another SDO transfer goes out behind the stop, and starts the motion",
+            EXCLUSIVE,
+        ),
+        (
+            "led_back",
+            _HALTING,
+            "is_last and word & COMMAND_BITS in STAYS.values():",
+            "False:",
+            "a halt enables a drive again that another stop has led down",
+            EXCLUSIVE,
+        ),
+        (
+            "patient_motion",
+            "drives/axis/exclusive_motion.py",
+            "            if occupancy.stops_begun != stops_before:",
+            "            if False:",
+            "a motion that waits for the halt of the one before outlives a stop, and moves the axis behind it",
+            EXCLUSIVE,
+        ),
+        (
+            "stops_drop_stops",
+            "drives/axis/exclusive_motion.py",
+            "if occupancy.stops == 1:",
+            "if True:",
+            "a stop takes the word of another stop that waits, which fails then",
+            EXCLUSIVE,
+        ),
+        (
+            "shown_is_enough",
+            _STATE,
+            "if state_of(statusword) is target and target in STAYS and may_be_enabled(axis):",
+            "if False:",
+            "a drive that was told to enable a moment ago counts as led down, and is enabled then",
+            EXCLUSIVE,
+        ),
+        (
+            "fed_behind_a_stop",
+            "drives/axis/slow_position.py",
+            "    if axis.occupancy.is_being_stopped:\n        raise",
+            "    if False:\n        raise",
+            "a target under way ends the halt of another task, or enables a drive that was led down",
+            SLOW,
         ),
         (
             "stop_once",

@@ -346,6 +346,12 @@ class SdoClient(ChannelEnd):
         """The number of requests that wait."""
         return len(self._queue)
 
+    def waiting_writes(self, index: int, subindex: int) -> list[RequestId]:
+        """Return the downloads of an object that wait and are not urgent: nothing of them was sent. index: 0..0xFFFF, subindex:
+        0..0xFF."""
+        waiting = self._queue.others
+        return [each.request_id for each in waiting if each.is_download and (each.index, each.subindex) == (index, subindex)]
+
     def can_ids(self) -> tuple[RoutingKey, ...]:
         return (self._hears, RoutingKey(self.can_id | self.flags << 29))  # the requests of others
 

@@ -422,13 +422,20 @@ class ChainBridge:
         if not points:
             if accepted is not None:
                 accepted()
-            await self.stop("an empty trajectory")
+            stands = await self.stop("an empty trajectory")
+            try:
+                self._require_movable(what)  # a joint may have failed as they braked
+            except COMMAND_ERRORS as error:
+                return GoalResult(GoalCode.PATH_TOLERANCE_VIOLATED, text_of(error, self.name), GoalOutcome.ABORTED)
+            if not stands:
+                text = "another motion took over as the joints braked"
+                return GoalResult(GoalCode.INVALID_GOAL, text, GoalOutcome.PREEMPTED)
             return GoalResult(GoalCode.SUCCESSFUL, "the joints stand", GoalOutcome.SUCCEEDED)
 
         def begins() -> None:
             self._take_over.begins(source)
-            for other in self._goals:
-                if other is not motion and not other.has_begun:
+            for other in self._goals[: self._goals.index(motion)]:  # a later one takes over from this one by itself
+                if not other.has_begun:
                     other.cancel("another trajectory came")
             if accepted is not None:
                 accepted()
@@ -446,19 +453,25 @@ class ChainBridge:
             if motion.goal is goal:
                 motion.cancel("it was cancelled")
 
-    async def stop(self, why: str) -> None:
+    async def stop(self, why: str) -> bool:
         """Let the present motion brake, along its path if it has one, and wait until the joints stand. They stay enabled. why:
-        the command that stops it, for texts."""
-        goals = tuple(self._goals)
+        the command that stops it, for texts.
+
+        Each source that streams has to be taken over again: else its next message would undo the stop. Return False if a goal, or
+        a source that was taken over meanwhile, moves the joints on.
+        """
+        self._take_over.interrupt()
+        goals, motion = tuple(self._goals), self.chain.motion
         for goal in goals:
             goal.cancel(f"{why} came")
         for other in (self._jogging, self._streaming):
             if other is not None:
                 other.cancel()
-        while (motion := self.chain.motion) is not None:
+        while motion is not None and not motion.is_over:
             await motion.news.park()
         for goal in goals:
             await goal.over.wait()
+        return self.chain.motion is None
 
 
 class States:

@@ -156,7 +156,7 @@ def checked(goal: TrajectoryGoal, names: Sequence[str], now: int) -> list[JointP
     ]
     late = (now - goal.start) / 1e9 if goal.start else 0.0
     if points and late > LATE:
-        if late > points[-1].time:
+        if late >= points[-1].time:
             text = f"the trajectory ended {late - points[-1].time:.3g} s ago: it starts {late:.3g} s in the past"
             raise GoalRefusedError(GoalCode.OLD_HEADER_TIMESTAMP, text)
         points = [point._replace(time=point.time - late) for point in points if point.time > late]

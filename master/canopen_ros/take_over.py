@@ -13,7 +13,7 @@ each motion of another source, a source has to be taken over once before it may 
 A goal of the action is a request of its own: it has an answer. A service drops a goal that waits for its start.
 
 An **interruption** is one of the chain (`Chain.interruptions`: initialised, homed, halted, shut down, stopped by a fault), a
-mode service, or a joint that was not heard for a while, as behind a bus that was down.
+mode service, a trajectory without points, or a joint that was not heard for a while, as behind a bus that was down.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import Future
 from contextlib import asynccontextmanager
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, TypeVar, TypeVarTuple, Unpack
 
@@ -42,11 +43,15 @@ class Portal:
         self._nursery = nursery
         self._token = trio.lowlevel.current_trio_token()
         self._open: set[Future[Any]] = set()
+        self._waiting: deque[Callable[..., Awaitable[None]]] = deque()  # to be started, one after the other
         self._lock = threading.Lock()
         self._is_closed = False
 
     def submit(self, function: Callable[[Unpack[Args]], Awaitable[T]], *args: *Args) -> Future[T]:
         """Start an async function in trio's thread; return a Future of its result. May be called in any thread.
+
+        Functions begin in the order of the calls, each up to where it first waits: a stop does not begin before the goal that it
+        is to stop.
 
         A Future that is cancelled before its function begins never runs it. Once the portal is closed, or closes while the
         function runs, the Future has MasterClosedError.
@@ -98,9 +103,24 @@ class Portal:
 
     def _start(self, function: Callable[..., Awaitable[Any]], args: tuple[Any, ...], future: Future[Any]) -> None:
         if not self._is_closed and future.set_running_or_notify_cancel():
-            self._nursery.start_soon(self._run, function, args, future)
+            self._waiting.append(partial(self._run, function, args, future))
+            if len(self._waiting) == 1:
+                self._nursery.start_soon(self._start_all)
 
-    async def _run(self, function: Callable[..., Awaitable[Any]], args: tuple[Any, ...], future: Future[Any]) -> None:
+    async def _start_all(self) -> None:
+        """Start what waits. Trio begins tasks that are started in one turn in any order."""
+        while self._waiting:
+            await self._nursery.start(self._waiting[0])
+            self._waiting.popleft()
+
+    async def _run(
+        self,
+        function: Callable[..., Awaitable[Any]],
+        args: tuple[Any, ...],
+        future: Future[Any],
+        task_status: trio.TaskStatus[None],
+    ) -> None:
+        task_status.started()
         try:
             result = await function(*args)
         except Exception as error:  # noqa: BLE001 - the caller's thread gets it

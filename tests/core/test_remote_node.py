@@ -15,6 +15,7 @@ from canopen_proto.follower import Follower
 from canopen_proto.frame import KEY_EXTENDED
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Outbox, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
@@ -165,6 +166,23 @@ def test_a_refused_write_leaves_the_image_alone() -> None:
     bench.tell("585#8001200022000008")
     assert bench.seen(SdoAborted) == [SdoAborted(5, request_id, OUTPUT, 0, AbortCode.DEVICE_STATE, AbortOrigin.PEER)]
     assert bench.output == 0
+
+
+def test_writes_that_wait_are_dropped_by_their_object_unless_they_are_urgent() -> None:
+    bench = MasterBench()
+    bench.node.write("output", 7, bench.now)
+    dropped = [bench.node.write("output", value, bench.now) for value in (8, 9)]
+    bench.node.write("limited", 15, bench.now)
+    bench.node.read("output", bench.now)
+    bench.node.write("output", 10, bench.now, urgent=True)
+    bench.take()
+    bench.node.drop_waiting(mux(OUTPUT), bench.now)
+    assert bench.take() == []
+    assert [(event.request_id, event.origin, event.not_confirmed) for event in bench.seen(SdoAborted)] == [
+        (each, AbortOrigin.CANCELLED, False) for each in dropped
+    ]
+    assert bench.node.sdo.waiting == 3
+    assert len(bench.node._writes) == 3
 
 
 def test_a_write_that_is_taken_back_leaves_nothing_behind() -> None:

@@ -11,8 +11,9 @@ import pytest
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.slow_position import start_slow_position
-from canopen_proto.drives.cia402.states import ControlBit, State
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.drives.cia402.states import Command, ControlBit, State
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, Outbox, RequestId
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -119,6 +120,63 @@ def test_a_motion_waits_for_the_halt_of_the_one_before() -> None:
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.0, abs=0.001)
 
 
+@pytest.mark.parametrize("stop", STOPS)
+def test_a_stop_ends_a_motion_that_waits_for_the_halt_of_the_one_before(stop: str) -> None:
+    """It was commanded before the stop: behind it, it would move the axis that was told to stand."""
+    rig = rig_of()
+    first = begun(rig, MOTIONS["move_to"])
+    rig.master.cancel(first, rig.bus.now)
+    waiting = rig.master.run(MOTIONS["move_to"](rig.axis), rig.bus.now)
+    rig.bus.run(20 * MILLISECOND)
+    assert isinstance(rig.outcome(rig.master.run(STOPS[stop](rig.axis), rig.bus.now)), ProcedureFinished)
+    ended = rig.outcome(waiting)
+    assert isinstance(ended, ProcedureFailed)
+    assert str(ended.error).startswith(f"drive 5 was taken from move_to: {stop} took over")
+    rig.bus.run(SECOND)  # a quick stop is over once the drive brakes
+    here = rig.run(drive.read_position(rig.axis))
+    rig.bus.run(SECOND)
+    assert rig.run(drive.read_position(rig.axis)) == here
+
+
+def test_a_stop_beside_another_one_takes_no_command_from_it() -> None:
+    """The first one has a word that waits behind a read without an answer; both succeed."""
+    for step in range(20):
+        rig = rig_of()
+        rig.run(drive.change_state(rig.axis, State.SWITCHED_ON))
+        rig.bus.run(200 * MILLISECOND)  # its state is read anew
+        deliver = rig.bus._deliver
+
+        def lose(receiver: Outbox, frame: Frame, deliver: Callable[[Outbox, Frame], None] = deliver) -> None:
+            if frame.can_id != 0x585 or frame.data[1:3] != b"\x00\x10":
+                deliver(receiver, frame)
+
+        rig.bus._deliver = lose  # type: ignore[method-assign]
+        brake = rig.master.run(drive.engage_brake(rig.axis), rig.bus.now)
+        rig.bus.run(step * MILLISECOND // 10)
+        rig.remote.read("0x1000", rig.bus.now)
+        rig.bus.run(MILLISECOND)
+        again = rig.master.run(drive.engage_brake(rig.axis), rig.bus.now)
+        assert isinstance(rig.outcome(brake), ProcedureFinished)
+        assert isinstance(rig.outcome(again), ProcedureFinished)
+        assert rig.drive.state is State.READY_TO_SWITCH_ON
+
+
+@pytest.mark.parametrize("stop", ["engage_brake", "shut_down", "change_state_down"])
+def test_a_halt_does_not_lead_back_a_drive_that_another_stop_leads_down(stop: str) -> None:
+    """The drive acts 40 ms later, so it still shows that it is enabled: bit 8 comes with the command to enable."""
+    for later in range(0, 50, 2):
+        rig = rig_of()
+        rig.node.drives[0].settings = replace(rig.node.drives[0].settings, reaction=40 * MILLISECOND)
+        begun(rig, MOTIONS["move_to"])
+        down = rig.master.run(STOPS[stop](rig.axis), rig.bus.now)
+        rig.bus.run(later * MILLISECOND)
+        halting = rig.master.run(drive.halt(rig.axis), rig.bus.now)
+        assert isinstance(rig.outcome(halting), ProcedureFinished)
+        assert isinstance(rig.outcome(down), ProcedureFinished)
+        rig.bus.run(SECOND)
+        assert rig.drive.state is not State.OPERATION_ENABLED
+
+
 def test_a_motion_waits_for_a_stop() -> None:
     rig = rig_of()
     first = begun(rig, MOTIONS["run_at"])
@@ -147,3 +205,38 @@ def test_a_procedure_that_was_given_up_leaves_the_axis_free() -> None:
     moving.send(None)
     moving.close()
     rig.run(drive.move_to(rig.axis, 0.1, timeout=60 * SECOND))
+
+
+def words_since(rig: Rig, began: int) -> list[int]:
+    """The controlwords that went by SDO behind the first `began` frames."""
+    writes = (frame.data for _, frame in rig.bus.sent[began:] if frame.can_id == 0x605 and frame.data[:3] == b"\x2b\x40\x60")
+    return [data[4] | data[5] << 8 for data in writes]
+
+
+@pytest.mark.parametrize("stop", STOPS)
+@pytest.mark.parametrize("motion", ["move_to", "run_at"])
+def test_no_command_that_waits_behind_another_transfer_undoes_a_stop(motion: str, stop: str) -> None:
+    """Somebody reads an object, and the answer is lost: for 500 ms all others wait. The stop goes first of them."""
+    for step in range(45):
+        rig = rig_of()
+        deliver = rig.bus._deliver
+
+        def lose(receiver: Outbox, frame: Frame, deliver: Callable[[Outbox, Frame], None] = deliver) -> None:
+            if frame.can_id != 0x585 or frame.data[1:3] != b"\x00\x10":
+                deliver(receiver, frame)
+
+        rig.bus._deliver = lose  # type: ignore[method-assign]
+        moving = rig.master.run(MOTIONS[motion](rig.axis), rig.bus.now)
+        rig.bus.run(step * MILLISECOND // 5)
+        rig.remote.read("0x1000", rig.bus.now)
+        rig.bus.run(100 * MILLISECOND)
+        began = len(rig.bus.sent)
+        stopping = rig.master.run(STOPS[stop](rig.axis), rig.bus.now)
+        assert isinstance(rig.outcome(stopping), ProcedureFinished)
+        rig.outcome(moving)
+        rig.bus.run(SECOND)
+        here = rig.run(drive.read_position(rig.axis))
+        rig.bus.run(SECOND)
+        assert rig.run(drive.read_position(rig.axis)) == here
+        assert stop == "halt" or rig.drive.state is not State.OPERATION_ENABLED
+        assert all(word & ControlBit.HALT for word in words_since(rig, began) if word & 0x0F == Command.ENABLE_OPERATION)

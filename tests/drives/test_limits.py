@@ -126,6 +126,21 @@ def test_acceleration_is_told(objects: dict[tuple[int, int], int], settings: Axi
     assert limits.max_jerk.value == 10 * (expected or 60)
 
 
+@pytest.mark.parametrize(
+    ("up", "down", "expected"),
+    [
+        (100_000, 40_000, Limit(40, "0x60C6 of the drive")),
+        (40_000, 100_000, Limit(40, "0x60C5 of the drive")),
+        (0xFFFF_FFFF, 40_000, Limit(40, "0x60C6 of the drive")),
+        (40_000, 0, Limit(40, "0x60C5 of the drive")),
+    ],
+)
+def test_a_path_brakes_no_harder_than_the_drive_may(up: int, down: int, expected: Limit) -> None:
+    limits = read_from({(0x60C5, 0): up, (0x60C6, 0): down})
+    assert isinstance(limits, SetPointLimits)
+    assert limits.acceleration == limits.max_acceleration == expected
+
+
 def test_a_path_has_the_limits_of_the_settings_else_of_the_drive_else_what_the_speed_gives() -> None:
     told = DriveLimits(Limit(-90_000, "low"), None, Limit(50_000, "fast"), Limit(400_000, "0x60C5 of the drive"))
     assert limits_of(axis_of(DEGREES), told).of_paths == JointLimits(-90, FARTHEST, 50, 400, 4000)

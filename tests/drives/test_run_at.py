@@ -402,3 +402,17 @@ def test_the_speed_of_the_motor_is_a_limit_by_the_settings_too() -> None:
     rig.drive.values.store[objects.MAX_MOTOR_SPEED] = 5
     with pytest.raises(drive.LimitReachedError, match="0x6080 of the drive allows 5; nothing was sent"):
         rig.run(drive.run_at(rig.axis, 6.0, mode=Mode.VELOCITY, duration=SECOND))
+
+
+@pytest.mark.parametrize("option", [1, 2])
+@pytest.mark.parametrize("slow", ["deceleration", "quick stop"])
+def test_in_velocity_mode_it_is_halted_as_early_as_its_halt_option_needs(option: int, slow: str) -> None:
+    """0x605D: 1, by 0x6049; 2, by 0x604A. The settings let it go to 30 degrees."""
+    rig = rig_with(replace(DEGREES, max_position=30.0, keeps_reference=True))
+    ramps = {objects.VL_VELOCITY_DECELERATION: 100, objects.VL_VELOCITY_QUICK_STOP: 400}
+    ramps[objects.VL_VELOCITY_DECELERATION if slow == "deceleration" else objects.VL_VELOCITY_QUICK_STOP] = 5
+    rig.node.values.store.update({objects.HALT_OPTION_CODE: option, **ramps})
+    with pytest.raises(drive.LimitReachedError, match="came near 30"):
+        rig.run(drive.run_at(rig.axis, 10.0, mode=Mode.VELOCITY))
+    assert stands(rig)
+    assert rig.drive._servo.position <= 30_000

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 import pytest
 
 from canopen_proto.dictionary import Direction
-from canopen_proto.drives.axis import ModeUnsupportedError, halt, read_statusword
+from canopen_proto.drives.axis import ModeUnsupportedError, engage_brake, halt, quick_stop, read_statusword
+from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.following import Following, FollowingLost
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.axis.slow_position import (
@@ -18,10 +19,13 @@ from canopen_proto.drives.axis.slow_position import (
     start_slow_position,
 )
 from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import Command, ControlBit
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.configure import configure_pdo, use_device_pdo
 from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.runner import ProcedureFinished
+from canopen_proto.procedures.steps import Procedure
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from tests.drives.rig import CYCLE, Rig
 
@@ -123,6 +127,29 @@ def test_the_target_that_a_halt_has_kept_is_dropped_before_the_drive_may_move() 
     rig.bus.run(SECOND)
     rig.run(read_statusword(rig.axis))
     assert 10_000 < min(positions) == max(positions) < 80_000  # type: ignore[type-var, operator]
+
+
+@pytest.mark.parametrize("stop", [halt, quick_stop, engage_brake])
+def test_no_target_under_way_undoes_a_stop(stop: Callable[[Axis], Procedure[None]]) -> None:
+    """The stop is another task's: the feeding is told by nobody but the axis. The drive answers late, so a target takes long."""
+    for later in range(0, 60, 3):
+        feeding = Feeding(255, reaction=20 * MILLISECOND)
+        rig = feeding.rig
+        rig.axis.occupancy.occupy("chain arm")
+        for step in range(40):
+            rig.axis.set_points.set_position_counts(3_000 + 100 * step)
+            rig.bus.run(CYCLE)
+        rig.bus.run(later * MILLISECOND)
+        stopping = rig.master.run(stop(rig.axis), rig.bus.now)
+        rig.axis.set_points.set_position_counts(90_000)
+        began = len(rig.bus.sent)
+        assert isinstance(rig.outcome(stopping), ProcedureFinished)
+        rig.bus.run(SECOND)
+        frames = [frame.data for _, frame in rig.bus.sent[began:]]
+        words = [data[0] | data[1] << 8 for data in frames if len(data) == 6]
+        assert all(word & ControlBit.HALT for word in words if word & 0x0F == Command.ENABLE_OPERATION)
+        lost = [event.cause for event in rig.bus.events if isinstance(event, FollowingLost)]
+        assert not any("takes no more targets" in cause for cause in lost)
 
 
 def test_a_fed_drive_that_loses_its_mode_ends_the_watch() -> None:

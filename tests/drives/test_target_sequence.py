@@ -292,3 +292,33 @@ def test_what_waited_in_a_cancelled_set_stands_in_nobodys_way(points: int, setti
     rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT) if second == "move_to" else along(rig, ProfileTarget(1)))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(1, abs=0.05)
     assert rig.bus.now - began < 4 * SECOND, "it went there at once"
+
+
+def test_no_target_leads_beyond_a_limit_because_the_drive_stood_beyond_it() -> None:
+    """It may stay there and come back, but not go there once more."""
+    rig = rig_at_zero(position=22_000)
+    rig.axis.settings = replace(DEGREES, max_position=20.0, keeps_reference=True)
+    with pytest.raises(drive.LimitReachedError, match=r"was not moved to 21\.5: the settings \(max_position\) say 20"):
+        rig.run(along(rig, ProfileTarget(10), ProfileTarget(21.5), ProfileTarget(0)))
+    assert not words_of(rig)
+    assert turning_points(rig, ProfileTarget(21.5), ProfileTarget(21), ProfileTarget(0)) == [22.0, 21.5, 21.0, 0.0]
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_drive_that_runs_on_behind_its_target_is_halted_before_a_limit(side: int, direction: int) -> None:
+    """It passes 10 degrees at 10 a second, and its next target comes only 4 s later."""
+    rig = rig_at_zero()
+    rig.axis.settings = replace(DEGREES, min_position=-20.0, max_position=20.0, direction=direction, keeps_reference=True)
+    targets = ProfileTarget(side * 10, velocity=20, end_velocity=10), ProfileTarget(0, pause=4 * SECOND)
+    request = rig.master.run(along(rig, *targets), rig.bus.now)
+    farthest = 0.0
+    while rig.master.runner.busy:
+        rig.bus.run(MILLISECOND)
+        rig.drive.refresh(rig.bus.now)
+        farthest = max(farthest, side * direction * rig.drive._servo.position / 1000)
+    ended = rig.outcome(request)
+    assert isinstance(ended, ProcedureFailed)
+    assert isinstance(ended.error, drive.LimitReachedError)
+    assert "it passed its target at 10 per second, and came near" in str(ended.error)
+    assert 12 < farthest <= 20

@@ -8,13 +8,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_master import ChainHaltedError, ChainState, together
+from canopen_master import AxisSettings, ChainHaltedError, ChainState, together
 from canopen_master.motion.moving import Moving
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.trajectory import Path
 from tests.examples import examples
 from tests.loops import loop
-from tests.master.path_world import CYCLE, arms, swing
-from tests.master.world import virtual_time
+from tests.master.path_world import COUNTS, CYCLE, arms, swing
+from tests.master.world import drives, virtual_time
 
 
 @virtual_time
@@ -128,3 +130,19 @@ def test_any_stop_at_any_moment_is_on_the_path_and_within_the_limits(stop: Stop,
             assert record.largest(3) <= 40.0 * WITHIN + 4.0
 
     run()
+
+
+@pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
+@virtual_time
+async def test_a_joint_that_may_not_brake_so_hard_as_it_accelerates_stays_within_its_limits(mode: Mode) -> None:
+    """0x60C6 below 0x60C5: a path that brakes by the latter would lead the drive beyond its end, and beyond the limit there."""
+    pytest.importorskip("ruckig")
+    axis = AxisSettings(counts_per_unit=COUNTS, max_speed=1.0, max_position=1.0)
+    async with arms(1, axis=axis, mode=mode) as (_, [arm], record):
+        (node,) = drives(record.hosts[0])
+        node.values.store.update({objects.MAX_ACCELERATION: 4_000_000, objects.MAX_DECELERATION: 1_000_000})
+        await arm.initialise()
+        await arm.move([0.99])
+        await loop.sleep(1.0)
+        assert max(row[0] for row in record.rows) < 0.99 + ON_PATH
+        assert record.rows[-1] == pytest.approx([0.99], abs=ON_PATH)

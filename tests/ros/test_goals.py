@@ -10,6 +10,7 @@ import pytest
 import trio
 
 from canopen_ros.goals import Feedback, GoalCode, GoalOutcome, GoalResult, Tolerance, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.threads import open_portal
 from tests.master.world import virtual_time
 from tests.ros.ros_world import START, Cell, cell, wall
 
@@ -160,6 +161,52 @@ async def test_an_empty_trajectory_stops_on_the_path() -> None:
         assert world.arm.state == "following"
 
 
+@virtual_time
+async def test_a_stop_that_comes_behind_a_goal_stops_it_though_both_come_in_one_turn() -> None:
+    """A busy computer hands several messages over at once. Trio begins tasks of one turn in any order."""
+    async with cell() as world, open_portal() as portal:
+        for each in ("init", "home"):
+            await world.ask(each)
+        for _ in range(8):
+            going = portal.submit(world.arm.follow, goal(P([0.5, -0.3], time_from_start=3.0)))
+            stopping = portal.submit(world.arm.follow, goal())
+            await trio.sleep(1.0)
+            assert (going.result(0).outcome, stopping.result(0).outcome) == (GoalOutcome.PREEMPTED, GoalOutcome.SUCCEEDED)
+            await world.assert_all_stand()
+
+
+@virtual_time
+async def test_of_goals_that_come_in_one_turn_the_last_one_moves_the_joints() -> None:
+    async with cell() as world, open_portal() as portal:
+        for each in ("init", "home", "IPmode"):
+            await world.ask(each)
+        for sign in (1.0, -1.0) * 3:
+            places = [sign * 0.1 * number for number in (1, 3, 2)]
+            goals = [portal.submit(world.arm.follow, goal(P([place, 0.0], time_from_start=3.0))) for place in places]
+            await trio.sleep(4.5)
+            outcomes = [each.result(0).outcome for each in goals]
+            assert outcomes == [GoalOutcome.PREEMPTED, GoalOutcome.PREEMPTED, GoalOutcome.SUCCEEDED]
+            assert world.bridge.sample().positions[0] == pytest.approx(places[-1], abs=EXACT)
+
+
+@virtual_time
+async def test_a_goal_that_begins_leaves_a_later_one_alone_that_waits_for_its_start() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        results: list[GoalOutcome] = []
+
+        async def follow(place: float, after: int) -> None:
+            given = goal(P([place, 0.0], time_from_start=2.0), start=wall() + after * 1_000_000_000)
+            results.append((await world.arm.follow(given)).outcome)
+
+        world.nursery.start_soon(follow, 0.2, 1)
+        await trio.sleep(0.1)
+        world.nursery.start_soon(follow, 0.1, 4)
+        await trio.sleep(8.0)
+        assert results == [GoalOutcome.SUCCEEDED] * 2
+        assert world.bridge.sample().positions[0] == pytest.approx(0.1, abs=EXACT)
+
+
 async def two_goals(world: Cell, second: TrajectoryGoal) -> list[GoalResult]:
     """Give a goal, and another one while the joints move; return the results in the order of their ends."""
     results: list[GoalResult] = []
@@ -258,6 +305,16 @@ async def test_a_start_in_the_past_leaves_out_what_is_over() -> None:
         now = trio.current_time()
         assert (await world.arm.follow(late)).outcome is GoalOutcome.SUCCEEDED
         assert 2.0 <= trio.current_time() - now < 2.9
+
+
+@virtual_time
+async def test_a_trajectory_that_ends_just_now_is_over_and_is_no_empty_one() -> None:
+    """Its joints never went along it, so it has not succeeded; and it stops nothing."""
+    async with cell() as world:
+        await world.ask("init")
+        over = goal(P([0.5, 0.5], time_from_start=1.0), start=wall() - 1_000_000_000)
+        result = await world.arm.follow(over)
+        assert (result.code, result.outcome) == (GoalCode.OLD_HEADER_TIMESTAMP, GoalOutcome.REJECTED)
 
 
 @pytest.mark.thorough(2)

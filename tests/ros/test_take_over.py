@@ -368,3 +368,67 @@ async def test_what_comes_while_a_mode_service_runs_is_refused_as_what_comes_beh
         await world.ask("IPmode")
         assert "they begin 0.952 away from joint2" in (await reports(world))[-1]
         await world.assert_all_stand()
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+@virtual_time
+async def test_an_empty_trajectory_stops_an_arm_that_somebody_goes_on_to_move(kind: type[Streamer]) -> None:
+    """What is sent on and on undoes no stop: it has to be taken over again."""
+    async with cell() as world:
+        for each in ("init", "home"):
+            await world.ask(each)
+        source = kind(world, (0.1, -0.1) if kind is Joystick else (0.9, -0.9))
+        world.nursery.start_soon(source.run)
+        await source.take()
+        await trio.sleep(1.0)
+        assert world.is_moving
+        with trio.fail_after(1.0):
+            result = await world.arm.follow(TrajectoryGoal([], []))
+        assert (result.outcome, result.text) == (GoalOutcome.SUCCEEDED, "the joints stand")
+        await world.assert_all_stand()
+        before = world.positions
+        await source.take()
+        await trio.sleep(1.0)
+        assert not is_near(world, before)
+
+
+@virtual_time
+async def test_a_goal_that_comes_as_an_empty_trajectory_stops_the_joints_is_no_standstill() -> None:
+    async with cell() as world:
+        for each in ("init", "home"):
+            await world.ask(each)
+        results: list[GoalOutcome] = []
+
+        async def follow(*points: TrajectoryPoint) -> None:
+            results.append((await world.arm.follow(TrajectoryGoal(["joint1", "joint2"] if points else [], points))).outcome)
+
+        world.nursery.start_soon(follow, TrajectoryPoint([0.5, -0.5], time_from_start=3.0))
+        await trio.sleep(1.5)
+        world.nursery.start_soon(follow)
+        await trio.sleep(0.04)
+        world.nursery.start_soon(follow, TrajectoryPoint([0.3, -0.3], time_from_start=4.0))
+        await trio.sleep(0.5)
+        assert world.is_moving
+        assert results == [GoalOutcome.PREEMPTED] * 2
+        await trio.sleep(5.0)
+        assert results[2:] == [GoalOutcome.SUCCEEDED]
+
+
+@virtual_time
+async def test_a_joint_that_fails_as_an_empty_trajectory_stops_it_is_told() -> None:
+    async with cell() as world:
+        for each in ("init", "home"):
+            await world.ask(each)
+        world.nursery.start_soon(
+            world.arm.follow, TrajectoryGoal(["joint1", "joint2"], [TrajectoryPoint([0.5, -0.5], time_from_start=3.0)])
+        )
+        await trio.sleep(1.5)
+
+        async def fail() -> None:
+            await trio.sleep(0.05)
+            world.break_down(3)
+
+        world.nursery.start_soon(fail)
+        result = await world.arm.follow(TrajectoryGoal([], []))
+        assert result.outcome is GoalOutcome.ABORTED
+        assert "joint1" in result.text

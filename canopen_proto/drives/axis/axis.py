@@ -72,8 +72,9 @@ class Axis:
     which starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
     selected last; None: none since the drive's last boot. unanswered: what the drive was told and did not answer in time, in
     words; "": nothing. answer_time: ns, see above; None: not known. commanded_at, selected_at: when this master last sent a
-    controlword, and a mode; None: not since then. has_opened_brake: whether this master holds the brake open by an output, see
-    digital_io.py. occupancy: the motion under way, see exclusive_motion.py.
+    controlword, and a mode; None: not since then. commanded: that controlword.
+    has_opened_brake: whether this master holds the brake open by an output, see digital_io.py. occupancy: the motion under way,
+    see exclusive_motion.py.
     """
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = OPEN_SETTINGS, number: int = 0) -> None:
@@ -100,6 +101,7 @@ class Axis:
         self._was_answer_time: Time = 0  # the last one that was known
         self.selected_mode: int | None = None
         self.commanded_at: Time | None = None
+        self.commanded = 0
         self.selected_at: Time | None = None
         self.has_opened_brake = False
         self.occupancy = Occupancy()

@@ -120,6 +120,9 @@ class FurtherAxis:
     def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
         return self._node.replace_held(self.on_device(mux), value, now)
 
+    def drop_waiting(self, mux: Mux, now: Time) -> None:
+        self._node.drop_waiting(self.on_device(mux), now)
+
     def add_listener(
         self,
         listener: Listener | None = None,

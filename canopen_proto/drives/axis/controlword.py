@@ -73,6 +73,7 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     if is_start:
         axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
     axis.commanded_at = yield from current_time()
+    axis.commanded = controlword & 0xFFFF
     yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF, urgent=urgent)
     if is_start:
         axis.started_at = yield from current_time()

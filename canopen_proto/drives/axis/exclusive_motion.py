@@ -2,11 +2,12 @@
 
 **A motion** (`moves`: move_to, home, run_at, set_mode, enable ...) is refused with AxisBusyError, before anything is sent, while
 another one is under way. It waits while the axis is being halted: by a stop, or as the clean-up of a motion that failed or was
-cancelled.
+cancelled. A stop that begins meanwhile ends it, too.
 
 **A stop** (`stops`: halt, quick_stop, and what leads a drive down) begins at once. The motion under way ends with TakenOverError
-as soon as its present step ends (10 ms, or an answer), and sends no further controlword. The stop is responsible for the axis
-from then on: if it fails or is cancelled, the axis is halted.
+as soon as its present step ends (10 ms, or an answer), and sends no further controlword. A controlword of it that waits behind
+another SDO transfer is given up: the stop goes before it, and would be undone by it. The stop is responsible for the axis from
+then on: if it fails or is cancelled, the axis is halted.
 
 A procedure that another one calls (`yield from`) is a part of it. A chain that follows set-points occupies its joints.
 """
@@ -20,8 +21,9 @@ from typing import Concatenate, Final, ParamSpec, TypeVar
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.failures import AxisBusyError, TakenOverError
 from canopen_proto.drives.axis.occupancy import Occupant
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.procedures.steps import Cancelled, Procedure, sleep
+from canopen_proto.procedures.steps import Cancelled, Procedure, act, sleep
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -39,10 +41,13 @@ def moves(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[C
         occupancy = axis.occupancy
         if occupancy.is_inside:
             return (yield from procedure(axis, *args, **kwargs))
+        stops_before = occupancy.stops_begun
         while occupancy.stops or occupancy.occupant is not None:
             if occupancy.occupant is not None and not occupancy.occupant.is_ending:
                 raise AxisBusyError(axis, name, occupancy.occupant.name)
             yield from sleep(LOOK)
+            if occupancy.stops_begun != stops_before:
+                raise TakenOverError(axis, name, occupancy.last_stop)
         occupant = occupancy.occupy(name)
         try:
             return (yield from _inside(axis, procedure(axis, *args, **kwargs), occupant))
@@ -71,6 +76,8 @@ def stops(
             has_taken_over = occupancy.take_over(name)
             occupancy.stops += 1
             try:
+                if occupancy.stops == 1:  # else what waits is another stop's
+                    yield from act(lambda now: axis.node.drop_waiting(objects.CONTROLWORD, now))
                 return (yield from _inside(axis, procedure(axis, *args, **kwargs), None))
             except (Cancelled, Exception) as cause:
                 if has_taken_over and clean_up is not None:

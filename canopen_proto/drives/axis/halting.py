@@ -21,7 +21,16 @@ from canopen_proto.drives.axis.units import read_number
 from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
-from canopen_proto.drives.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
+from canopen_proto.drives.cia402.states import (
+    COMMAND_BITS,
+    POWERED,
+    Command,
+    ControlBit,
+    State,
+    StatusBit,
+    enables_operation,
+    state_of,
+)
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import read_if_present, value_of
@@ -93,7 +102,8 @@ def halt(axis: Axis) -> Procedure[None]:
 
 
 def _stop(axis: Axis) -> Procedure[None]:
-    yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
+    word = STAYS[axis.state] if axis.state in STAYS else (yield from _halt_word(axis))
+    yield from command_held(axis, word)  # a SYNC may come before the drive's state is known
     is_told = yield from halt_first(axis)
     try:
         statusword = yield from read_statusword(axis)
@@ -108,11 +118,11 @@ def _stop(axis: Axis) -> Procedure[None]:
         state = yield from _late_state(axis)
     if state is State.OPERATION_ENABLED:
         if not is_told:
-            yield from insist(axis, _halt_word(axis))
+            yield from insist(axis, (yield from _halt_word(axis)))
     elif state is State.QUICK_STOP_ACTIVE and may_be_enabled(axis):
         yield from insist(axis, int(Command.QUICK_STOP))
     else:
-        yield from command_held(axis, STAYS.get(state, _halt_word(axis)))
+        yield from command_held(axis, STAYS[state] if state in STAYS else (yield from _halt_word(axis)))
         if state not in POWERED:
             return
     try:
@@ -135,7 +145,7 @@ def halt_first(axis: Axis) -> Procedure[bool]:
         statusword = yield from _statusword_soon(axis)
     is_enabled = may_be if statusword is None else state_of(statusword) is State.OPERATION_ENABLED
     if is_enabled:
-        yield from insist(axis, _halt_word(axis))
+        yield from insist(axis, (yield from _halt_word(axis)))
     return is_enabled
 
 
@@ -191,7 +201,19 @@ def _next_state(axis: Axis) -> Procedure[State]:
     return state_of(word)
 
 
-def _halt_word(axis: Axis) -> int:
+def _halt_word(axis: Axis) -> Procedure[int]:
+    """Return the word that halts a drive which shows Operation enabled.
+
+    Bit 8 comes with the command to enable. A drive that another stop has just told to leave Operation enabled, and that has not
+    shown it yet, would be led back by it: it gets the word of that stop once more.
+    """
+    told_at, word = axis.commanded_at, axis.commanded
+    # A write past the axis that was not confirmed may have come behind it
+    is_last = not any(map(enables_operation, axis.node.may_hold(objects.CONTROLWORD) - {axis.controlword}))
+    if told_at is not None and is_last and word & COMMAND_BITS in STAYS.values():
+        now = yield from current_time()
+        if now - told_at < axis.reaction_time:
+            return word
     is_enabling = axis.controlword & 0x0F == Command.ENABLE_OPERATION
     return (axis.controlword if is_enabling else int(Command.ENABLE_OPERATION)) | ControlBit.HALT
 

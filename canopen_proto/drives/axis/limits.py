@@ -5,7 +5,7 @@ Origin of the limits
     position   0x607D of the drive, and min_position, max_position of the settings; the narrower, if both are given
     speed      max_speed of the settings; else the lower of 0x607F and 0x6080 of the drive; else DEFAULT_SPEED
                in profile position also 0x6081 of the drive: it goes no faster, and would fall behind
-    max_acceleration   of the settings; else 0x60C5 of the drive; else the speed limit within DEFAULT_RAMP
+    max_acceleration   of the settings; else the lower of 0x60C5 and 0x60C6 of the drive; else the speed limit within DEFAULT_RAMP
     max_jerk           of the settings; else the limit of the acceleration within DEFAULT_ONSET
 
 The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Without either, the
@@ -29,11 +29,12 @@ Nor does 0x607D if its minimum is not below its maximum (0 and 0 are no limits),
 that is 0 or beyond INTEGER32.
 
 Units. 0x607F and 0x6081 are in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). units.py converts both, unless
-`velocity_unit` of the settings says the first. 0x60C5 is in velocity units per second, unless the drive (0x60AA, 0x6097) or
-`acceleration_unit` of the settings says otherwise. A limit is left out if its unit is not known or cannot be converted.
+`velocity_unit` of the settings says the first. 0x60C5 and 0x60C6 are in velocity units per second, unless the drive (0x60AA,
+0x6097) or `acceleration_unit` of the settings says otherwise. A limit is left out if its unit is not known or cannot be
+converted.
 
 Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, max
-acceleration 60C5h, all from memory, and as the files of four makers have them.
+acceleration 60C5h, max deceleration 60C6h, all from memory, and as the files of four makers have them.
 """
 
 from __future__ import annotations
@@ -244,7 +245,11 @@ def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure
     profile = yield from _read_amount(node, objects.MAX_PROFILE_VELOCITY)
     motor = yield from _read_amount(node, objects.MAX_MOTOR_SPEED)
     in_profile = (yield from _read_amount(node, objects.PROFILE_VELOCITY)) if mode == Mode.PROFILE_POSITION else None
-    acceleration = yield from _read_amount(node, objects.MAX_ACCELERATION)
+    hardest: list[Limit] = []  # a path brakes as hard as it accelerates
+    for key in (objects.MAX_ACCELERATION, objects.MAX_DECELERATION):
+        amount = yield from _read_amount(node, key)
+        hardest += [] if amount is None else [Limit(amount, f"{mux_text(key).removesuffix(':00')} {_OF_DRIVE}")]
+    acceleration = min(hardest, default=None)
     asks = any(each is not None for each in (profile, motor, in_profile, acceleration))
     units = (yield from read_units(node)) if asks else DriveUnits()
     per_velocity = units.per_velocity if axis.settings.velocity_unit is None else axis.settings.velocity_unit
@@ -262,7 +267,7 @@ def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure
         min(speeds, default=None),
         None
         if acceleration is None or per_acceleration is None
-        else Limit(acceleration * per_acceleration, f"0x60C5 {_OF_DRIVE}"),
+        else Limit(acceleration.value * per_acceleration, acceleration.source),
         None if in_profile is None or per_velocity is None else Limit(in_profile * per_velocity, f"0x6081 {_OF_DRIVE}"),
     )
     return limits_of(axis, told)

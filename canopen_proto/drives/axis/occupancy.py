@@ -15,14 +15,21 @@ class Occupant:
 
 
 class Occupancy:
-    """See this module's text. occupant: None if nothing moves the axis. stops: how many run. is_inside: whether code of one of
-    these procedures runs at this moment, so that those it calls are parts of it.
+    """See this module's text. occupant: None if nothing moves the axis. stops: how many run. stops_begun: how many have begun so
+    far; last_stop: the name of the last one. is_inside: whether code of one of these procedures runs at this moment, so that
+    those it calls are parts of it.
     """
 
     def __init__(self) -> None:
         self.occupant: Occupant | None = None
-        self.stops = 0
+        self.stops = self.stops_begun = 0
+        self.last_stop = ""
         self.is_inside = False
+
+    @property
+    def is_being_stopped(self) -> bool:
+        """Whether a stop runs, or has taken over from what moves the axis: nothing else may command it."""
+        return self.stops > 0 or (self.occupant is not None and bool(self.occupant.taken_over_by))
 
     def occupy(self, name: str) -> Occupant:
         """Note what moves the axis from now on, for longer than a procedure: `release` ends it. The caller looks at
@@ -36,8 +43,9 @@ class Occupancy:
             self.occupant = None
 
     def take_over(self, name: str) -> bool:
-        """Tell the occupant that a stop ends it; return whether there is one that has not been told. name: of the stop, for error
-        texts."""
+        """Note a stop that begins. Tell the occupant that it ends it; return whether there is one that has not been told. name:
+        of the stop, for error texts."""
+        self.stops_begun, self.last_stop = self.stops_begun + 1, name
         occupant = self.occupant
         if occupant is None or occupant.taken_over_by:
             return False

@@ -40,7 +40,8 @@ class AxisSettings:
     counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count. unit: the name of
     the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
     velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
-    acceleration_unit: counts per second² in one unit of 0x6083, 0x6084, 0x609A and 0x60C5; None: as the drive tells (units.py).
+    acceleration_unit: counts per second² in one unit of 0x6083, 0x6084, 0x609A, 0x60C5 and 0x60C6; None: as the drive
+    tells (units.py).
     counts_per_motor_turn: for velocity mode (vl), which counts turns of the motor; None: as the drive tells.
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
     homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098. homing_speed, homing_zero_speed:
@@ -63,7 +64,7 @@ class AxisSettings:
     drive's own limit (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
 
     max_acceleration, max_jerk: in the user's unit per second² and per second³; paths are planned, checked, stopped within them.
-    None: the drive's own limit (0x60C5, none of the jerk), else a default that the speed limit gives; math.inf: no limit.
+    None: the drive's own limit (0x60C5, 0x60C6; none of the jerk), else a default that the speed limit gives; math.inf: no limit.
 
     sto_input, brake_bit: the bit that shows "safe torque off", and the one of a brake that holds; None: the drive has none, and
     errors name neither. Each maker has them elsewhere: see `DriveBit`.

@@ -27,7 +27,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command, syncs_passed
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import as_drive_errors, require_reference
+from canopen_proto.drives.axis.failures import TakenOverError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.profile_position import AT_ONCE, make_room, set_options
@@ -85,12 +85,13 @@ def feed_targets(following: Following) -> Procedure[None]:
     """Give the drive its newest set-point (`Axis.set_points`) as a target, whenever it has changed, until cancelled. following:
     the watch of the axis.
 
-    The watch must be on. It ends with FollowingLost if the drive does not take a target.
+    The watch must be on. It ends with FollowingLost if the drive does not take a target. This ends without it, and commands
+    nothing more, when a stop takes the axis over (exclusive_motion.py).
     """
     axis = following.axis
     given = axis.set_points.counts
     try:
-        while True:
+        while not axis.occupancy.is_being_stopped:
             counts = axis.set_points.counts
             if counts == given:
                 yield from sleep(POLL_INTERVAL)
@@ -100,7 +101,8 @@ def feed_targets(following: Following) -> Procedure[None]:
                 given = counts
                 yield from sleep(max(0, began + TARGET_INTERVAL - (yield from current_time())))
     except (ProcedureError, LocalProtocolError) as error:
-        following.lose(f"takes no more targets: {error}")
+        if not axis.occupancy.is_being_stopped:
+            following.lose(f"takes no more targets: {error}")
 
 
 def profile_lag(axis: Axis, cycle_time: Time) -> Procedure[Time]:
@@ -124,15 +126,22 @@ def _amount(axis: Axis, key: Mux) -> Procedure[int]:
 def _give(axis: Axis, counts: int, mode: Mode | None = None) -> Procedure[None]:
     """Give a target. A halt that is in force ends with the same controlword that gives it; see `profile_position`."""
     if mode is None:
-        yield from command(axis, AT_ONCE | axis.controlword & ControlBit.HALT)
+        yield from _command(axis, AT_ONCE | axis.controlword & ControlBit.HALT)
         yield from _acknowledged(axis, False, mode)
     else:
         yield from make_room(axis, int(AT_ONCE))
     yield from _bring(axis, counts)
-    yield from command(axis, AT_ONCE | ModeControl.NEW_SET_POINT)
+    yield from _command(axis, AT_ONCE | ModeControl.NEW_SET_POINT)
     yield from _acknowledged(axis, True, mode)
     axis.started_at = OBEYED
-    yield from command(axis, int(AT_ONCE))
+    yield from _command(axis, int(AT_ONCE))
+
+
+def _command(axis: Axis, controlword: int) -> Procedure[None]:
+    """Command the drive, unless a stop has taken it over: this word would undo that one."""
+    if axis.occupancy.is_being_stopped:
+        raise TakenOverError(axis, "its targets", "a stop")
+    yield from command(axis, controlword)
 
 
 def _acknowledged(axis: Axis, wanted: bool, mode: Mode | None) -> Procedure[None]:

@@ -64,6 +64,8 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
     if target is not State.OPERATION_ENABLED:
         yield from _take_power_first(axis, target)
     statusword = yield from read_statusword(axis)
+    if state_of(statusword) is target and target in STAYS and may_be_enabled(axis):
+        yield from insist(axis, int(STAYS[target]))  # it has not shown yet what it was told since
     seen: list[State] = []
     slowest: Time | None = None
     while (state := state_of(statusword)) is not target:

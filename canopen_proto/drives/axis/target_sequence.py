@@ -16,6 +16,7 @@ Source: IEC 61800-7-201 (CiA 402-2): profile position mode, set-points; 0x60F2, 
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -24,8 +25,9 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors, require_reference
-from canopen_proto.drives.axis.halting import halt_after
+from canopen_proto.drives.axis.halting import halt_after, halt_ramp
 from canopen_proto.drives.axis.identity import learn_units
+from canopen_proto.drives.axis.limits import limits_of
 from canopen_proto.drives.axis.profile_position import (
     OTHER_TARGET,
     demand_of,
@@ -40,16 +42,17 @@ from canopen_proto.drives.axis.profile_position import (
     wait_for_target,
 )
 from canopen_proto.drives.axis.state import enable
-from canopen_proto.drives.axis.watching import DriveWait
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl
 from canopen_proto.drives.cia402.positioning import RelativeTo as RelativeTo
 from canopen_proto.drives.cia402.positioning import RotaryDirection as RotaryDirection
 from canopen_proto.drives.cia402.states import Command, State
-from canopen_proto.machine import NEVER, LocalProtocolError, Time
+from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeoutError, current_time
+from canopen_proto.remote_node import FRESH
 
 
 class Start(enum.Enum):
@@ -75,7 +78,8 @@ class ProfileTarget:
     is given, while the drive goes on. velocity: in the user's unit per second; acceleration, deceleration: per second²; all are
     rounded down to the drive's unit, and stay in the drive. None keeps the last one, which at first is the drive's own (0x6081,
     0x6083, 0x6084). end_velocity: the speed with which the drive passes the target (0x6082); 0 for the last one. A drive that
-    gets its next target late runs on at that speed: ON_THE_WAY is safer, because it stops. direction: the way to an absolute
+    gets its next target late runs on at that speed: ON_THE_WAY is safer, because it stops. During a pause it is halted before
+    min_position and max_position of the settings. direction: the way to an absolute
     target of an axis without end, in the user's direction (0x60F2); None leaves it as the drive has it.
     """
 
@@ -177,6 +181,7 @@ class _Feeder:
         self._target = start = yield from demand_of(axis)
         known: int | None = start
         for point in points:
+            start = start if known is None else known  # a target beyond a limit is allowed from further beyond it only
             known = self._absolute(point, known)
             axis.node.encode(objects.TARGET_POSITION, self._way(point) if known is None else known)
             if known is not None and not axis.has_lost_reference:
@@ -219,7 +224,7 @@ class _Feeder:
         """Give a target once there is room for it."""
         axis, point = self._axis, self._points[number]
         start = Start.AT_ONCE if number == 0 else point.start
-        yield from self._pass(point.pause)
+        yield from self._pass(point.pause, self._points[number - 1].end_velocity if number else 0.0)
         if start is Start.WHEN_REACHED and not axis.settings.queues_set_points:
             yield from self._wait_for_target()
             start = Start.AT_ONCE
@@ -295,14 +300,46 @@ class _Feeder:
     def _left(self) -> Procedure[Time]:
         return max(0, self._deadline - (yield from current_time()))
 
-    def _pass(self, duration: Time) -> Procedure[None]:
-        """Let time pass, and watch the drive meanwhile."""
-        if duration:
-            end = (yield from current_time()) + duration
-            watch: DriveWait[bool] = DriveWait(
-                self._axis, "its next target", mode=Mode.PROFILE_POSITION, stays=State.OPERATION_ENABLED
-            )
-            yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, (yield from self._left()))
+    def _pass(self, duration: Time, runs_on: float) -> Procedure[None]:
+        """Let time pass, and watch the drive meanwhile. runs_on: the speed with which it passes the target before, in the user's
+        unit per second; it is halted before a limit of the settings then."""
+        if not duration:
+            return
+        axis = self._axis
+        end = (yield from current_time()) + duration
+        watch: DriveWait[bool] = DriveWait(
+            axis,
+            "its next target",
+            mode=Mode.PROFILE_POSITION,
+            stays=State.OPERATION_ENABLED,
+            reads={objects.POSITION_ACTUAL_VALUE: POLL_INTERVAL} if runs_on else None,
+        )
+        margin = (yield from self._way_to_stop(runs_on)) if runs_on and not axis.has_lost_reference else 0.0
+        before: float | None = None
+
+        def judge(statusword: int, heard_at: Time) -> bool | None:
+            nonlocal before
+            here = axis.position
+            if margin and here is not None and watch.heard(objects.POSITION_ACTUAL_VALUE) is not None:
+                way = 0.0 if before is None else here - before
+                before = here
+                limit = limits_of(axis).position_excess(here, here + math.copysign(margin, way)) if way else None
+                if limit is not None:
+                    reason = f"it passed its target at {runs_on:g} per second, and came near {limit.value:g} ({limit.source})"
+                    remedy = "a shorter pause, or an end velocity of 0"
+                    raise LimitReachedError(axis, f"was halted at {here:g}", reason=reason, remedy=remedy, looks=False)
+            return heard_at >= end or None
+
+        yield from watch.until(judge, (yield from self._left()))
+
+    def _way_to_stop(self, speed: float) -> Procedure[float]:
+        """Return the way that the drive needs to stop by a halt, in the user's unit. speed: in it per second."""
+        axis = self._axis
+        delay = (axis.settings.obeys_within + FRESH) / SECOND
+        ramp, unit = (yield from halt_ramp(axis)), axis.scale.acceleration_unit
+        if ramp is None or unit is None:
+            return speed * (delay + axis.settings.halt_time / SECOND)
+        return speed * delay + speed * speed / (2 * axis.scale.amount_from_counts(ramp * unit))
 
     def _wait_for_target(self) -> Procedure[None]:
         yield from wait_for_target(self._axis, self._target, self._given_at, (yield from self._left()), not self._is_exact)

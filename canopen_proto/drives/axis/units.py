@@ -77,7 +77,7 @@ class DriveUnits:
 
     per_turn: counts for a turn of the shaft. per_motor_turn: counts for a turn of the motor. per_metre: counts, of a drive that
     positions a length. per_velocity: counts per second in one velocity unit. per_acceleration: counts per second² in one unit of
-    0x6083, 0x6084, 0x609A and 0x60C5, if the drive has one of its own: see `acceleration_unit`. rated_torque: N·m.
+    0x6083, 0x6084, 0x609A, 0x60C5 and 0x60C6, if the drive has one of its own: see `acceleration_unit`. rated_torque: N·m.
     reversed: of "position", "velocity" and "torque", those that the drive reverses. home_offset: counts.
     origins: by the name of a field, the objects that it was computed from, in words. conflicts: in words.
     """

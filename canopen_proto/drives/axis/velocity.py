@@ -263,13 +263,21 @@ class _Run:
             if ramp and objects.PROFILE_DECELERATION in self._ramps:
                 ramp = min(ramp, self._ramps[objects.PROFILE_DECELERATION])  # it is written later, if the halt goes by it
         else:
-            deltas = yield from _pair(self._axis, objects.VL_VELOCITY_DECELERATION)
-            speed_change = self._ramps.get(objects.VL_VELOCITY_DECELERATION, deltas[0])
-            time = self._ramps.get(Mux(objects.VL_VELOCITY_DECELERATION + 1), deltas[1])
-            ramp = speed_change / time if speed_change and time else None
+            ramp = yield from self._halt_ramp_of_vl()
         if not ramp:
             return speed * (delay + settings.halt_time / SECOND)
         return speed * delay + speed * speed / (2 * ramp * self._ramp_unit)
+
+    def _halt_ramp_of_vl(self) -> Procedure[float | None]:
+        """Return the deceleration with which the drive halts (0x605D) in vl, in its unit; None if it does not tell."""
+        option = yield from read_if_present(self._axis.node, objects.HALT_OPTION_CODE)
+        keys = {1: objects.VL_VELOCITY_DECELERATION, 2: objects.VL_VELOCITY_QUICK_STOP}
+        key = keys.get(option if isinstance(option, int) else 1)
+        if key is None:
+            return None
+        deltas = yield from _pair(self._axis, key)
+        speed_change, time = self._ramps.get(key, deltas[0]), self._ramps.get(Mux(key + 1), deltas[1])
+        return speed_change / time if speed_change and time else None
 
     @property
     def _is_bounded(self) -> bool:

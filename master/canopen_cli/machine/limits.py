@@ -15,7 +15,7 @@ ELSE: Final = {
     "min_position": "0x607D of the drive, if it has it",
     "max_position": "0x607D of the drive, if it has it",
     "max_speed": f"0x607F and 0x6080 of the drive, else {DEFAULT_SPEED:,} counts per s",
-    "max_acceleration": f"0x60C5 of the drive, else max_speed, reached in {DEFAULT_RAMP:g} s",
+    "max_acceleration": f"the lower of 0x60C5 and 0x60C6 of the drive, else max_speed, reached in {DEFAULT_RAMP:g} s",
     "max_jerk": f"max_acceleration, reached in {DEFAULT_ONSET:g} s",
 }
 """Where a limit comes from that the file does not have: see canopen_proto.drives.axis.limits."""
