@@ -279,6 +279,14 @@ SERVICE_MUTANTS: Final = tuple(
             CONTENTION,
         ),
         (
+            "late_refusal_is_sure",
+            _SDO_CLIENT,
+            "            is_refusal = is_named and not finds_a_copy and not is_late\n",
+            "            is_refusal = is_named and not finds_a_copy\n",
+            "an urgent write is told as refused by the late refusal of the request before it, and the server executes it",
+            CONTENTION,
+        ),
+        (
             "strangers_refusal_is_ours",
             _CONTENTION,
             "transfer.believes and not transfer.is_shared\n    return is_believed",

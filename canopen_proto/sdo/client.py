@@ -484,7 +484,9 @@ class SdoClient(ChannelEnd):
             finds_a_copy = transfer.has_begun and SIZE.unpack_from(data, 4)[0] in _OUT_OF_PLACE
             if is_named and self._queue.may_meet_another(transfer, now, self.timeout) and self._asks_again(transfer, data):
                 return
-            is_refusal = is_named and not finds_a_copy
+            # Before an urgent write no answer is waited for, so the server may refuse a request that was given up
+            is_late = now < self._queue.may_be_answered_until(transfer.name)
+            is_refusal = is_named and not finds_a_copy and not is_late
             self._end_by_abort(transfer, data, not is_refusal and transfer.is_all_sent)
             return
         if is_nameless and transfer.in_blocks:

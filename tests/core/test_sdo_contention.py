@@ -480,6 +480,30 @@ def test_nor_by_the_late_answer_to_a_write_that_timed_out_though_the_strangers_e
     assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
 
 
+@pytest.mark.parametrize("before", ["read", "write"])
+def test_nor_is_it_refused_by_the_late_refusal_of_the_request_before(before: str) -> None:
+    """The server may take the urgent write all the same: "refused" would be a false word."""
+    bench = Shared()
+    if before == "read":
+        bench.client.upload(0x6040, 0, bench.now)
+    else:
+        bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.wait(TIMEOUT)
+    bench.outcomes()
+    urgent = bench.client.download(0x6040, 0, b"\x07\0", bench.now, urgent=True)
+    bench.hear("80 40 60 00 01 00 01 06")
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.request_id, end.origin, end.not_confirmed) == (urgent, AbortOrigin.PEER, True)
+    second = bench.client.download(0x6040, 0, b"\x06\0", bench.now)
+    bench.wait(LATE_GUARD)
+    bench.hear("43 00 10 00 92 01 02 00")  # the answer to the question before it: nothing else is due
+    bench.hear("80 40 60 00 02 00 01 06")  # this is its own refusal
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.request_id, end.not_confirmed) == (second, False)
+
+
 def test_a_write_waits_for_the_late_confirmation_of_each_of_two_urgent_ones_that_timed_out() -> None:
     bench = Shared()
     bench.client.late_guard = 4 * TIMEOUT
