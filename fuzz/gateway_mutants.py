@@ -79,6 +79,22 @@ GATEWAY_MUTANTS: Final = tuple(
             TRAFFIC,
         ),
         (
+            "tui_away_accuses",
+            "canopen_cli/tui/machine_watch.py",
+            "        elif was_deaf or self._is_deaf:\n",
+            "        elif self._is_deaf:\n",
+            "an adapter that was pulled out makes each node late in the terminal view",
+            TUI,
+        ),
+        (
+            "tui_losses_accuse",
+            "canopen_cli/tui/machine_watch.py",
+            "        elif lost:\n",
+            "        elif False:\n",
+            "frames that this computer lost make nodes late in the terminal view",
+            TUI,
+        ),
+        (
             "any_answer_of_the_tui_is_yes",
             "canopen_cli/tui/app.py",
             "if answer == YES:",

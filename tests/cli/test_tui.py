@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trio
 
 pytest.importorskip("textual", reason="textual is not installed: the extra `tui` has it")
 
@@ -40,11 +41,15 @@ from canopen_master import open_master
 from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.simulation import SimulatedDevices, simulated_drives
 from canopen_proto.frame import Frame
+from canopen_transports import BusState, BusStateChanged
 from canopen_transports.record import Record
 from canopen_transports.tracing import listening
 from tests.cli.cli_support import Run, stands
 from tests.cli.terminal import Terminal, canopen, needs_tmux, terminals
 from tests.examples import takes_all
+from tests.gateway.gateway_world import gateway
+from tests.master.world import BUS as BUS_OF_GATEWAY
+from tests.master.world import virtual_time
 
 BUS = "virtual:tui"
 LIMIT = 60.0
@@ -160,7 +165,7 @@ def test_its_views(monkeypatch: pytest.MonkeyPatch) -> None:
         await pilot.press("exclamation_mark")
         await until(pilot, lambda: shows(view, "No such frame yet"))
         await pilot.press("6")
-        await until(pilot, lambda: shows(view, "switch on disabled", "it is not enabled", "try: enable it"))
+        await until(pilot, lambda: len(rows(view)) == 2 and shows(view, "it is not enabled", "try: enable it"))
         held.simulation.raise_fault(4, 0x3220)
         await pilot.press("down")
         await until(pilot, lambda: shows(view, "error 0x3220", "fault"))
@@ -254,6 +259,43 @@ def test_a_finding_that_the_header_counts_is_there_to_be_read_however_many_frame
         assert lines[0].startswith("length: an NMT command of 1 byte")
 
     viewed(test)
+
+
+@pytest.mark.parametrize("what", ["the bus is away", "frames are lost"])
+@virtual_time
+async def test_no_node_is_late_for_what_this_computer_could_not_hear(what: str) -> None:
+    """Whether the node went on meanwhile, nobody knows."""
+    settings = Settings()
+    files = NodeFiles(settings, settings.screen())
+    with listening(lambda record: None) as trace:
+        async with gateway() as (_, service), trio.open_nursery() as nursery:
+            with service.open_session("the view") as session:
+                watch, bus = MachineWatch(service, session, files, trace, Buses(files)), service.master.bus(BUS_OF_GATEWAY)
+                nursery.start_soon(watch.run)
+
+                async def beats() -> None:
+                    for _ in range(8):
+                        watch.heard(Record(trace.now(), BUS_OF_GATEWAY, Frame.parse("763#05")))
+                        await trio.sleep(0.1)
+
+                def late() -> list[int]:
+                    return [each.node_id for each in watch.shown.traffic if each.text.startswith("late heartbeat")]
+
+                await beats()
+                if what == "frames are lost":
+                    await trio.sleep(0.1)
+                    trace.lose(3, BUS_OF_GATEWAY, trace.now())
+                    await trio.sleep(0.1)
+                else:
+                    bus.take_in(iter([BusStateChanged("x", BusState.DOWN, "unplugged")]), service.master.now())
+                    await trio.sleep(3)
+                    assert late() == []
+                    bus.take_in(iter([BusStateChanged("x", BusState.UP, "plugged in")]), service.master.now())
+                await beats()
+                assert late() == []
+                await trio.sleep(3)
+                assert late() == [99], "now it is silent itself"
+                nursery.cancel_scope.cancel()
 
 
 def test_f12_halts_while_something_is_typed(monkeypatch: pytest.MonkeyPatch) -> None:

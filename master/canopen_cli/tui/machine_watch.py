@@ -20,6 +20,7 @@ from typing import Final
 import trio
 
 from canopen_cli.live.frame_lines import Buses
+from canopen_cli.live.source import DEAF
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import counted, node_text
@@ -109,6 +110,7 @@ class MachineWatch:
         self._older: deque[TrafficLine] = deque(maxlen=MOST_LINES)  # findings that are older than these lines
         self._events: deque[Plain] = deque(maxlen=MOST_EVENTS)
         self._frames = self._findings = 0
+        self._lost, self._is_deaf = trace.lost, False
         self._objects: dict[ObjectPlace, ReadObject] = {}
         self._values: dict[ObjectPlace, _LiveValue] = {}
         self._watching = trio.CancelScope()
@@ -153,6 +155,14 @@ class MachineWatch:
 
     async def _understand(self) -> None:
         """Put what was heard into words."""
+        left, lost, self.left, self._lost = self.left, self._trace.lost - self._lost, 0, self._trace.lost
+        was_deaf, self._is_deaf = self._is_deaf, any(self.service.master.bus(net).state in DEAF for net in self.service.nets)
+        if left:
+            self._buses.lost(f"{counted(left, 'frame')} came too fast for this view")
+        elif lost:
+            self._buses.lost(f"{counted(lost, 'frame')} lost on the way to this program")
+        elif was_deaf or self._is_deaf:
+            self._buses.lost("the bus was away")  # that nothing came says nothing about a node
         if not self._records:
             for _, findings, summaries in self._buses.idle(self._trace.now() - LATE):
                 seconds = self._buses.seconds(self._trace.now())
@@ -160,9 +170,6 @@ class MachineWatch:
                     self._add_finding(seconds, finding_text(finding), finding.node_id)
                 for each in summaries:
                     self._add_line(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
-        left, self.left = self.left, 0
-        if left:
-            self._buses.lost(f"{counted(left, 'frame')} came too fast for this view")
         for number in range(len(self._records)):
             if number % AT_ONCE == AT_ONCE - 1:
                 await trio.lowlevel.checkpoint()
