@@ -219,13 +219,13 @@ def test_standard_input_that_says_nothing_does_not_hold_up_the_end(writing: int)
     st.floats(-100e-6, 100e-6),
 )
 def test_a_delay_on_the_way_does_not_move_a_stamp_for_long(gaps: list[tuple[int, int]], offset: int, drift: float) -> None:
-    """Once a frame came without delay, the later ones get their true times, but for the drift of the two clocks."""
+    """Where each eighth frame comes without delay, all get their true times, but for the drift of the two clocks."""
     clock = StampClock()
     truth = before = 0
     clock.time_of(offset, 0)
-    for gap, delay in gaps:
+    for number, (gap, delay) in enumerate(gaps):
         truth += gap
-        got = clock.time_of(offset + round(truth * (1 + drift)), truth + delay)
+        got = clock.time_of(offset + round(truth * (1 + drift)), truth + (delay if number % 8 else 0))
         assert before <= got
         assert abs(got - truth) <= 400e-6 * (truth + 20 * MILLISECOND) + 1
         before = got
@@ -238,3 +238,26 @@ def test_a_clock_that_was_set() -> None:
     assert clock.time_of(101 * SECOND, 2 * SECOND) == 2 * SECOND + 10  # and back
     assert clock.time_of(None, 3 * SECOND) == 3 * SECOND + 10
     assert clock.time_of(101_900 * MILLISECOND, 3 * SECOND + 5) == 3 * SECOND + 10  # the one before had no stamp, and came late
+
+
+@pytest.mark.parametrize("step", [20 * MILLISECOND, 500 * MILLISECOND, 1900 * MILLISECOND])
+@pytest.mark.parametrize("gap", [MILLISECOND, 300 * MILLISECOND, 1500 * MILLISECOND])
+def test_a_clock_that_is_set_back_a_little_is_known_again_soon(step: int, gap: int) -> None:
+    """As NTP does: else each node would be late by so much, for hours."""
+    clock = StampClock()
+    end = 10 * SECOND
+    for truth in range(0, end, gap):
+        stamp = truth if truth < 3 * SECOND else truth - step
+        got = clock.time_of(stamp, truth)
+        if truth < 3 * SECOND or truth > 5 * SECOND + 2 * gap:
+            assert abs(got - truth) <= 5 * MILLISECOND
+
+
+def test_frames_that_wait_for_long_while_the_computer_is_busy_keep_their_times() -> None:
+    """They are handed over each 400 ms, and the last ones of each time have hardly waited."""
+    clock = StampClock()
+    clock.time_of(0, 0)
+    for batch in range(1, 30):
+        now = batch * 400 * MILLISECOND
+        for truth in range(now - 399 * MILLISECOND, now, 10 * MILLISECOND):
+            assert abs(clock.time_of(truth, now) - truth) <= 10 * MILLISECOND
