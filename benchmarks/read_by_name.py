@@ -44,16 +44,13 @@ class OurNodes:
         self.master.attach(self.remote)
         self.slave.attach(self.local)
         self.local.boot(self.now)
-        self.exchange()
+        self.slave.drain(self.now)
 
     def exchange(self) -> list[Event]:
         """Let the frames go to and fro until there are none; what the master reported."""
         master, slave, now = self.master, self.slave, self.now
         reported: list[Event] = []
         while True:
-            for frame in slave.drain(now)[0]:
-                master.receive(frame, now)
-            slave.next_deadline()
             frames, events = master.drain(now)
             master.next_deadline()
             reported += events
@@ -61,6 +58,9 @@ class OurNodes:
                 return reported
             for frame in frames:
                 slave.receive(frame, now)
+            for frame in slave.drain(now)[0]:
+                master.receive(frame, now)
+            slave.next_deadline()
 
     def read(self, name: str, count: int) -> Value:
         """Read an object so many times; its value."""

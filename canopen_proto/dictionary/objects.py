@@ -34,13 +34,12 @@ class Access(StrEnum):
     RWW = "rww"
     CONST = "const"
 
-    @property
-    def readable(self) -> bool:
-        return self is not Access.WO
+    readable: bool
+    writable: bool
 
-    @property
-    def writable(self) -> bool:
-        return self is not Access.RO and self is not Access.CONST
+    def __init__(self, text: str) -> None:
+        self.readable = text != "wo"
+        self.writable = text not in ("ro", "const")  # attributes: a property of an enumeration takes ten times as long
 
 
 class ObjectType(IntEnum):
