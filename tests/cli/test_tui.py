@@ -485,7 +485,7 @@ def test_random_keys_end_it_with_no_traceback_and_leave_the_terminal_as_it_was(o
         terminal.send(random_bytes(chance, 20))
         time.sleep(0.01)  # more at once is one paste for the library that reads keys
     terminal.press_until_it_ends(b"\x1b\x1b\x03")  # half a sequence before it may take the first Ctrl-C for its end
-    assert terminal.wait() == 0
+    assert terminal.wait() in (0, -signal.SIGINT)  # the last Ctrl-C may meet an interpreter that is about to end
     assert b"Traceback" not in terminal.output, terminal.output.decode()[-3000:]
     assert terminal.is_as_before()
 

@@ -219,7 +219,7 @@ def stats(settings: Settings, screen: Screen, source: Path, bitrate: str, window
         screen.table(columns, texts, right=columns[2:])
         number = sum(each.frames for each in ids if each.channel == channel)
         rates = f"{_text(traffic.per_second(number))} a second, load {_text(load)} % at {bitrate_text(rate)}"
-        what = counted(number, "frame") if len(loads) == 1 else f"{channel}: {counted(number, 'frame')}"
+        what = counted(number, "frame") if len(loads) == 1 else f"{escape(channel)}: {counted(number, 'frame')}"
         screen.data(f"{what} in {seconds:.6g} s, {rates if traffic.span else 'too short for a rate'}")
     tell_jumps(screen, traffic.jumps)
     tell_skipped(screen, reader)
