@@ -34,12 +34,16 @@ class Access(StrEnum):
     RWW = "rww"
     CONST = "const"
 
-    readable: bool
-    writable: bool
+    @property
+    def readable(self) -> bool:
+        return self is not Access.WO
 
-    def __init__(self, text: str) -> None:
-        self.readable = text != "wo"
-        self.writable = text not in ("ro", "const")  # attributes: a property of an enumeration takes ten times as long
+    @property
+    def writable(self) -> bool:
+        return self not in _NEVER_WRITTEN
+
+
+_NEVER_WRITTEN: Final = (Access.RO, Access.CONST)  # a member that is looked up in its class takes longer than all of this
 
 
 class ObjectType(IntEnum):
