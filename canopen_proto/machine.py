@@ -113,7 +113,7 @@ class FrameIgnored(Event):
 
 
 Reaction: TypeAlias = Callable[[Any, Time], None]
-"""What a group does when one of its members has reported an event, at that time."""
+"""What a group does with an event of one of its members: it is called with the event and the time."""
 
 
 class Outbox:

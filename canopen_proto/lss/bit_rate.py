@@ -9,8 +9,8 @@ The order, and the way back from each step:
                                                            the others back
     store      0x17, only now                              until then, power off and on brings the old bit rate back
 
-What ends before "store" takes the new bit rate back from all devices (`take_back`): else they would keep it, and switch at their
-next power-on, when somebody lets them store their node-ID.
+A change that ends before "store" takes the new bit rate back from all devices (`take_back`). Else it would stay pending: a later
+"store", of a node-ID, would keep it, and the device would switch at its next power-on.
 
 `activate` reaches all devices of the bus, so `prepare` must have had all of them, also those without a node-ID: a device that was
 not prepared stays where it is, and disturbs the bus with every frame that it sends or misunderstands.

@@ -295,7 +295,7 @@ def restore(
     each object back (except write-only ones). store: make the device store its parameters at the end.
 
     An ObjectRestored event follows for each write. Raises RestoreError, also if the node boots before it has stored: what was
-    read and written before counts no more then. This module's text says which state the node is in.
+    read and written before that no longer counts. This module's text says which state the node is in.
     """
     so_far = Restoration(plan) if restoration is None else restoration
     if not plan.writes and not store:

@@ -13,6 +13,7 @@ from canopen_cli.shared.options import FILE, TextKind, together, without_object
 from canopen_gateway.errors import FleetError
 from canopen_gateway.fleet import Fleet, FleetPlace, open_fleet, parse_place
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, check_endpoint
+from canopen_gateway.fleet.keys import check_name
 
 F = TypeVar("F", bound=Callable[..., Any])
 FLEET_VARIABLE: Final = "CANOPEN_FLEET"
@@ -25,6 +26,15 @@ class Endpoint(TextKind):
 
     def read(self, text: str) -> str:
         return check_endpoint(text)
+
+
+class SiteName(TextKind):
+    """The name of a computer, as keys of a fleet and topics of a broker have it."""
+
+    name = "name"
+
+    def read(self, text: str) -> str:
+        return check_name("site", text)
 
 
 class PlaceText(TextKind):

@@ -121,8 +121,8 @@ def replay(
 ) -> None:
     """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
 
-    The frames of one bus are sent: a file with several is refused without --channel. What was for node 5 of one bus would be for
-    node 5 of the other.
+    Only frames of one bus are sent. A file with several buses needs --channel: else a frame for node 5 of one bus would reach
+    node 5 of another.
 
     \b
     canopen log replay trace.log -b socketcan:vcan0                  a bus with a wire asks first

@@ -1,4 +1,4 @@
-"""What a recording shows of each bus: the frames of each CAN-ID, and how long that bus was watched. For `log stats`, `log diff`.
+"""What a recording shows of each bus: the frames of each CAN-ID; and how long it was recorded. For `log stats`, `log diff`.
 
 A recording may have several buses (`candump any`). Each has nodes and a load of its own: nothing of two buses is added up.
 """

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import click
 
+from canopen_cli.fleet.joining import SiteName
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.serve.site_name import SiteName
 from canopen_cli.shared.options import FILE, Kind, Seconds, Settings, command, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, escape

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.fleet.joining import Endpoint, zenoh_file
+from canopen_cli.fleet.joining import Endpoint, SiteName, zenoh_file
 from canopen_cli.serve.served import open_service, serve_door
-from canopen_cli.serve.site_name import SiteName
 from canopen_cli.shared.options import Settings, command, lasting
 from canopen_cli.shared.permissions import allowing
 from canopen_cli.shared.screen import Screen, escape
