@@ -73,7 +73,7 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "traffic_away_accuses",
             "canopen_gateway/traffic/traffic.py",
-            "        if self._bus.state in _DEAF:\n",
+            "        if self._bus.state in DEAF:\n",
             "        if self._bus.state is None:\n",
             "an adapter that was pulled out makes each node late",
             TRAFFIC,

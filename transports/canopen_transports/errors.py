@@ -60,6 +60,10 @@ class BusState(Enum):
     """The way to the bus is back; frames come again."""
 
 
+DEAF: Final = (BusState.DOWN, BusState.BUS_OFF)
+"""A bus in one of these states is not heard: that nothing comes says nothing about a node."""
+
+
 class _OfBus(Explained):
     def __init__(
         self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()

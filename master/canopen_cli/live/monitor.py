@@ -10,7 +10,7 @@ import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, WantedFrames, choosing
 from canopen_cli.live.line_writer import LineWriter, open_line_writer
-from canopen_cli.live.source import DEAF, Heard, LiveSource, no_file, open_live_source, recorded, tell_jumps, tell_skipped
+from canopen_cli.live.source import Heard, LiveSource, no_file, open_live_source, recorded, tell_jumps, tell_skipped
 from canopen_cli.live.window import Window, clocked
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, command, lasting, until_text
@@ -18,7 +18,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_error, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_proto.machine import SECOND, Time
-from canopen_transports.errors import BusStateChanged, ReceiveOverrun
+from canopen_transports.errors import DEAF, BusStateChanged, ReceiveOverrun
 from canopen_transports.record import Record
 
 QUIET: Final = 0.5

@@ -82,8 +82,6 @@ def no_file(command: Any) -> Any:
 Heard: TypeAlias = Record | Report
 """A frame; or the report of a loss, or of the state of a bus, at its place among the frames. A recording has only losses."""
 
-DEAF: Final = (BusState.DOWN, BusState.BUS_OFF)
-"""A bus in one of these states is not heard: that nothing comes says nothing about a node."""
 BATCH: Final = 256
 """The most frames that are handed over at once; between two batches other tasks run."""
 AHEAD: Final = 4096

@@ -15,7 +15,7 @@ from rich.console import RenderableType
 from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_source, note_state
 from canopen_cli.live.screen import LiveScreen
-from canopen_cli.live.source import DEAF, LiveSource, no_file, open_live_source, rate_of, recorded
+from canopen_cli.live.source import LiveSource, no_file, open_live_source, rate_of, recorded
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, command, lasting
@@ -26,7 +26,7 @@ from canopen_cli.shared.time_left import time_left
 from canopen_proto.machine import Time
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
-from canopen_transports.errors import BusState, BusStateChanged
+from canopen_transports.errors import DEAF, BusState, BusStateChanged
 from canopen_transports.log_files import LogFileError
 from canopen_transports.record import Record
 

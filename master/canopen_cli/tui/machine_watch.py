@@ -20,7 +20,6 @@ from typing import Final
 import trio
 
 from canopen_cli.live.frame_lines import Buses
-from canopen_cli.live.source import DEAF
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import counted, node_text
@@ -58,6 +57,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND
 from canopen_proto.procedures import ProcedureError
+from canopen_transports.errors import DEAF
 from canopen_transports.record import Record
 from canopen_transports.tracing import Trace
 

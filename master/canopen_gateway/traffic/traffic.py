@@ -34,7 +34,7 @@ from canopen_proto.observer.bus_view import BusFigures, BusView
 from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import Observation, Observer
 from canopen_proto.pdo.settings import COB_ID, PdoSettings, communication_index, mapping_index
-from canopen_transports.errors import BusState
+from canopen_transports.errors import DEAF
 from canopen_transports.stamp_clock import StampClock
 
 SLICE: Final = 32
@@ -51,7 +51,6 @@ MOST_FINDINGS: Final = 40
 """The last findings that are kept, for those who look later."""
 MOST_LOSSES: Final = 1000
 """The last places where frames were lost that are kept, for a trace."""
-_DEAF: Final = (BusState.DOWN, BusState.BUS_OFF)
 LOGGER: Final = logging.getLogger("canopen_gateway")
 
 
@@ -189,7 +188,7 @@ class NetTraffic:
     def _look_at_silence(self) -> None:
         """Tell what is wrong because nothing came."""
         now = self._master.now() - LATE
-        if self._bus.state in _DEAF:
+        if self._bus.state in DEAF:
             now += LATE
             self._observer.lost("the bus is away", now)  # that nothing comes says nothing about a node
         findings, summaries = self._observer.idle(now)
