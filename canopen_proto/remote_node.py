@@ -289,9 +289,10 @@ class RemoteNode(Group):
         variable = self.dictionary.variable(key)
         if not variable.access.writable:
             raise LocalProtocolError(f"{variable.label} of node {self.node_id} is {variable.access}: it cannot be written")
-        meant = self.dictionary.value_from(variable, value)
-        variable.check_limits(meant)
-        return variable, meant, variable.encode(meant)
+        meant = self.dictionary.value_from(variable, value) if isinstance(value, str) else value
+        if variable.low_limit is not None or variable.high_limit is not None:
+            variable.check_limits(meant)
+        return variable, meant, variable.codec.encode(meant, variable)
 
     def value_of(self, uploaded: SdoUploaded, variable: Variable | None = None) -> Value:
         """Return the value that an upload brought. variable: the object that was asked for; None: look it up.
