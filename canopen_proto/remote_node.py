@@ -620,7 +620,8 @@ class RemoteNode(Group):
         return mux in self.commanded
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
-        written, which = self._writes.pop(report.request_id, None), mux(report.index, report.subindex)
+        written = self._writes.pop(report.request_id, None)
+        which = mux(report.index, report.subindex) if written is None else written[0].mux
         if self._in_doubt:
             self._in_doubt.pop(which, None)
         if FIRST_PDO_RECORD <= report.index <= LAST_PDO_RECORD:

@@ -34,6 +34,31 @@ RESTORE: Final = ("tests/manager/test_restore.py",)
 SERVICE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        # ---- the answer to a read that is asked again ----
+        (
+            "answers_with_the_value_before",
+            "sdo/server.py",
+            "if content != self.shown or data != self.asked:",
+            "if data != self.asked:",
+            "whoever polls an object gets the value of the first read for ever",
+            CHANNELS,
+        ),
+        (
+            "answers_for_the_object_before",
+            "sdo/server.py",
+            "if content != self.shown or data != self.asked:",
+            "if content != self.shown:",
+            "of two objects with the same value the second one's answer names the first",
+            CHANNELS,
+        ),
+        (
+            "answers_on_the_channel_before",
+            "sdo/transfer.py",
+            '        self.asked = self.shown = b""\n',
+            '        self.asked = getattr(self, "asked", b"")\n        self.shown = getattr(self, "shown", b"")\n',
+            "a server that was given another channel answers a read on the one before",
+            CHANNELS,
+        ),
         # ---- a quiet network ----
         (
             "deaf_procedure",

@@ -276,8 +276,10 @@ class SdoServer(ChannelEnd):
         if isinstance(content, bytes):
             size = len(content)
             if 0 < size <= MAX_EXPEDITED and command < BLOCK_UPLOAD:  # what is read most: `answer_upload` without its call
-                payload = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
-                self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
+                if content != self.shown or data != self.asked:  # else it is the answer before once more: somebody polls
+                    payload = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
+                    self.asked, self.shown, self.answer = data, content, Frame(self.can_id, payload, self.flags, 8)
+                self.out.frames.append(self.answer)
                 return
             transfer = answer_upload(self, index, subindex, data, self._door, content, False, now)
             if transfer is not None:

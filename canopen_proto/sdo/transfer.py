@@ -83,12 +83,14 @@ class ChannelEnd(Machine):
     channel: client to server, server to client; None if there is none. last: the last frame that was accepted from the other
     side; empty once its second copy was seen. replies: by the toggle of a segment that came, 0 or 1, what is sent for it: the
     request of the next one, or the acknowledgement. confirmation: of a server, what was sent for the last expedited write;
-    confirmed: the three bytes of it that name the object. All are read-only outside.
+    confirmed: the three bytes of it that name the object. answer: of a server, what was sent for the last expedited read; asked:
+    the request; shown: the value's bytes. All are read-only outside.
     """
 
     __slots__ = (
-        "_hears", "_is_server", "block_size", "burst_interval", "can_id", "channel", "confirmation", "confirmed",
-        "copy_guard", "crc", "flags", "last", "max_burst", "node_id", "replies", "stream_timeout", "timeout",
+        "_hears", "_is_server", "answer", "asked", "block_size", "burst_interval", "can_id", "channel", "confirmation",
+        "confirmed", "copy_guard", "crc", "flags", "last", "max_burst", "node_id", "replies", "shown", "stream_timeout",
+        "timeout",
     )  # fmt: skip
 
     def __init__(
@@ -136,6 +138,8 @@ class ChannelEnd(Machine):
         self.replies: tuple[Frame, ...] = tuple(Frame(can_id, payload, flags) for payload in payloads)
         self.confirmed = NO_MULTIPLEXER
         self.confirmation = Frame(can_id, pack_initiate(INITIATE_DOWNLOAD_RESPONSE, 0, 0, 0), flags)
+        self.asked = self.shown = b""
+        self.answer = self.confirmation
 
 
 class Transfer:

@@ -71,6 +71,20 @@ def test_segments_go_out_on_the_channel_that_asked(bench: DeviceBench) -> None:
     assert bench.node.values.store[TEXT << 8] == "abc"
 
 
+def test_the_same_read_again_brings_the_value_of_now_on_the_channel_of_now(bench: DeviceBench) -> None:
+    """Also where the server asked that way has answered it already, and whichever object came between."""
+    set_up(bench, 0x1201, 0x6A1, 0x6A2)
+    heartbeat = "6A1#4017100000000000"  # the time is as long as the other value, and is the same at first
+    for value in (0, 0, 2):
+        bench.node.set_value(OUTPUT, 0, value, 0)
+        answer = f"6A2#4B012000{value:02X}000000"
+        read = ["6A1#4001200000000000", heartbeat, "6A1#4001200000000000"]
+        assert bench.tell(*read) == [answer, "6A2#4B17100000000000", answer]
+    assert bench.write(0x1201, 2, INVALID | 0x6A2, 4) is None
+    assert bench.write(0x1201, 2, 0x6A3, 4) is None
+    assert bench.tell("6A1#4001200000000000") == ["6A3#4B01200002000000"]
+
+
 def test_29_bit_channels(bench: DeviceBench) -> None:
     set_up(bench, 0x1202, 0x38FF_0001, 0x38FF_0002)
     bench.network.receive(Frame(0x18FF_0001, bytes.fromhex(READ_TYPE), EXTENDED), 0)
