@@ -135,9 +135,9 @@ class RequestQueue:
         """Return whether a question has to come before this request: its one answer could not be told from another one. timeout:
         as of `take`."""
         command = transfer.first[0]
-        if command == INITIATE_UPLOAD:
-            return bool(self.left) and self._is_left(transfer, now)
-        return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)
+        if command & _IN_ONE_FRAME == _WRITE:
+            return self.may_meet_another(transfer, now, timeout)
+        return command == INITIATE_UPLOAD and bool(self.left) and self._is_left(transfer, now)
 
     def may_meet_another(self, transfer: Transfer, now: Time, timeout: Time) -> bool:
         """Return whether the server may still confirm or refuse something else in a frame that names the object of this request:
