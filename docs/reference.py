@@ -109,10 +109,6 @@ def definition_of(module: str, name: str) -> Definition:
     return source.definitions[name]
 
 
-DEEPER = ("canopen_proto.testing.strategies",)
-"""Public one level deeper than all others: it needs hypothesis, and canopen_proto.testing does not."""
-
-
 @cache
 def public_modules() -> dict[str, ModuleType]:
     """Return the packages and the rooms below them that have public names, by name."""
@@ -123,7 +119,7 @@ def public_modules() -> dict[str, ModuleType]:
             rooms = sorted(
                 f"{package}.{each.name}" for each in pkgutil.iter_modules(top.__path__) if not each.name.startswith("_")
             )
-            for name in (package, *rooms, *(each for each in DEEPER if each.startswith(f"{package}."))):
+            for name in (package, *rooms):
                 module = importlib.import_module(name)
                 if hasattr(module, "__all__"):
                     found[name] = module

@@ -22,7 +22,6 @@ Graph: TypeAlias = "dict[str, set[str]]"
 
 ARROWS = {
     "canopen_proto": set(),
-    "canopen_proto.testing.strategies": {"canopen_proto", "canopen_data"},
     "canopen_data": {"canopen_proto"},
     "canopen_transports": {"canopen_proto"},
     "canopen_check": {"canopen_proto", "canopen_data"},
@@ -40,7 +39,7 @@ ARROWS = {
         "canopen_gateway",
     },
 }
-"""What each package may import. Nobody imports the command line; nor, but tests, the strategies, which need hypothesis."""
+"""What each package may import. Nobody imports the command line."""
 
 
 def modules() -> dict[str, Path]:

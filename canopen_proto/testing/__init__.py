@@ -5,7 +5,6 @@
     faults.py     what goes wrong, and when
     patterns.py   which frames are meant
     seen.py       `bus.saw(...)`, `bus.never(...)`; judge.py: `bus.observer.clean()`
-    strategies/   what Hypothesis draws; the one part that needs hypothesis, and canopen_data
 
 `__tracebackhide__` keeps the inside of an assertion out of pytest's reports.
 

@@ -2,6 +2,7 @@
 
     program_world.py   `ProgramWorld`; its time in trio, and world_loop.py for asyncio; can_bus.py for python-can
     plugin.py          the fixtures; docs/testing.md shows them
+    strategies/        what Hypothesis draws; the one room that needs hypothesis
 
 The faults, patterns and assertions are in canopen_proto.testing.
 

@@ -15,7 +15,7 @@ from canopen_master.simulation import serving
 from canopen_proto.frame import ERROR_CONTROL, NMT, SDO_CLIENT_TO_SERVER, SYNC, TIME, Frame
 from canopen_proto.lss.messages import FROM_MASTER
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.testing.strategies import frames
+from canopen_testing.strategies import frames
 from canopen_transports.log_files import LogReader
 from tests.cli.backup_world import EDS, NODE, Lasting, change, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder

@@ -13,7 +13,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
-from canopen_proto.testing.strategies import near_valid_frames, random_frames
+from canopen_testing.strategies import near_valid_frames, random_frames
 from tests.builds import sees_inside
 from tests.data.subjects import DriveSubject, LocalSubject, RemoteSubject, Subject, held
 from tests.examples import examples

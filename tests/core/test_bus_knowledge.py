@@ -14,7 +14,7 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoClient
-from canopen_proto.testing.strategies import frames, random_frames
+from canopen_testing.strategies import frames, random_frames
 from tests.builds import takes_any_type
 
 TIMEOUT = 500 * MILLISECOND

@@ -27,7 +27,7 @@ from canopen_proto.datatypes import (
     zero_of,
 )
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.testing.strategies import data_types, values
+from canopen_testing.strategies import data_types, values
 from tests.builds import takes_any_type
 from tests.examples import examples
 

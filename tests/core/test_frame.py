@@ -19,7 +19,7 @@ from canopen_proto.frame import (
     frame_for_key,
     key_of_cob_id,
 )
-from canopen_proto.testing.strategies import random_frames
+from canopen_testing.strategies import random_frames
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length
 from canopen_proto.dictionary import Access, Direction, Filler, Object, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.pdo.mapping import MappedEntry, Mapping, MappingError, may_have_width
-from canopen_proto.testing.strategies import pdo_mappings
+from canopen_testing.strategies import pdo_mappings
 
 U8, U16, U32, U64 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32, DataType.UNSIGNED64
 I8, I16, I24, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER24, DataType.INTEGER32

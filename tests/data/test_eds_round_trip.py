@@ -17,7 +17,7 @@ from canopen_data.eds.writer_sections import sections_of
 from canopen_data.xdd.reader import read_xdd
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
-from canopen_proto.testing.strategies import damaged_texts, device_descriptions, values
+from canopen_testing.strategies import damaged_texts, device_descriptions, values
 from tests.data.test_eds_writer import SAMPLE
 from tests.examples import examples
 from tests.vendor_files import INI_NAMES, XDD_NAMES, load, needs_vendor_files

@@ -18,7 +18,7 @@ from canopen_data.reading import read_description
 from canopen_data.stubs import identifier, stubs_of
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, ReadOnly, ReadWrite, Variable, WriteOnly
-from canopen_proto.testing.strategies import device_descriptions
+from canopen_testing.strategies import device_descriptions
 from tests import type_checkers
 from tests.examples import examples
 from tests.vendor_files import ALL_NAMES, load, needs_vendor_files

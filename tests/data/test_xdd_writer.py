@@ -19,7 +19,7 @@ from canopen_data.xdd.writer import write_xdd
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.testing.strategies import device_descriptions
+from canopen_testing.strategies import device_descriptions
 from tests.examples import examples
 
 

@@ -18,7 +18,7 @@ from canopen_proto.datatypes import DataType, Value, is_integer, is_signed
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
-from canopen_proto.testing.strategies import device_descriptions
+from canopen_testing.strategies import device_descriptions
 from tests.examples import examples
 
 NODE_ID = 5

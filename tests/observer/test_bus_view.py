@@ -11,7 +11,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.observer.bus_view import MAX_EMERGENCIES, MAX_ERRORS, MAX_FINDINGS, MAX_INTERVALS, BusFigures, BusView
 from canopen_proto.observer.observer import Observer
-from canopen_proto.testing.strategies import near_valid_frames, random_frames
+from canopen_testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
 
 

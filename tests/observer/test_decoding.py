@@ -16,7 +16,7 @@ from canopen_proto.observer.meaning import ShownObject, bytes_text
 from canopen_proto.observer.observer import Observer
 from canopen_proto.observer.parameters import ObservedParameters
 from canopen_proto.observer.pdo import ObservedPdos
-from canopen_proto.testing.strategies import frames, near_valid_frames, random_frames
+from canopen_testing.strategies import frames, near_valid_frames, random_frames
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
 

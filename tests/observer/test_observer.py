@@ -10,7 +10,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import RULES, Observer
-from canopen_proto.testing.strategies import near_valid_frames, random_frames
+from canopen_testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
 from tests.interop.recorded import load, needs_recordings
 from tests.observer.test_decoding import DICTIONARY, U8, U32, obj

@@ -10,7 +10,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import Observer
 from canopen_proto.observer.story import KINDS, MAX_KINDS, Story
-from canopen_proto.testing.strategies import near_valid_frames, random_frames
+from canopen_testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
 
 STATUSWORDS = ["605#40001A0000000000", "585#4F001A0001000000", "605#40001A0100000000", "585#43001A0110004160"]

@@ -26,7 +26,7 @@ from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_proto.testing import World
 from canopen_proto.testing.faults import Fault
-from canopen_proto.testing.strategies import (
+from canopen_testing.strategies import (
     NmtOrder,
     PlannedDevice,
     SdoConversation,

@@ -23,7 +23,7 @@ from canopen_proto.procedures.steps import Procedure, sleep
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.access import Pending
 from canopen_proto.testing import World
-from canopen_proto.testing.strategies import (
+from canopen_testing.strategies import (
     MasterAgainstDevice,
     MasterAgainstDevices,
     PlannedDevice,

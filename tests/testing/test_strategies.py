@@ -31,9 +31,10 @@ from canopen_proto.procedures.objects import UnexpectedLengthError
 from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
-from canopen_proto.testing import strategies
 from canopen_proto.testing.faults import Fault
-from canopen_proto.testing.strategies import (
+from canopen_proto.testing.world import World
+from canopen_testing import strategies
+from canopen_testing.strategies import (
     NmtOrder,
     PlannedDevice,
     SdoConversation,
@@ -55,8 +56,7 @@ from canopen_proto.testing.strategies import (
     values,
     variables,
 )
-from canopen_proto.testing.strategies.faults import ALL_FAULTS
-from canopen_proto.testing.world import World
+from canopen_testing.strategies.faults import ALL_FAULTS
 from tests.core.devices import io_device
 from tests.examples import examples
 
@@ -259,7 +259,7 @@ warnings.simplefilter("ignore")  # an example outside of a test
 from hypothesis import given
 from tests import conftest  # the profile
 from tests.examples import examples
-from canopen_proto.testing import strategies
+from canopen_testing import strategies
 from tests.testing.test_strategies import ALL, ARGUMENTS, shown
 for name in ALL:
     @examples(8, least=8)

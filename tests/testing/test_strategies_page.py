@@ -8,7 +8,7 @@ from unittest import TestCase
 
 import pytest
 
-from canopen_proto.testing import strategies
+from canopen_testing import strategies
 from tests.docs_build import DOCS
 from tests.examples import examples
 

@@ -13,8 +13,8 @@ from canopen_proto.frame import Frame
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_proto.testing import World
-from canopen_proto.testing import strategies as st
 from canopen_proto.testing.faults import Fault
+from canopen_testing import strategies as st
 
 
 def each_strategy_has_its_type(data_type: DataType, variable: Variable) -> None:

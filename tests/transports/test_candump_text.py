@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_proto.testing.strategies import random_frames
+from canopen_testing.strategies import random_frames
 from canopen_transports.candump_text import NotAFrameError, parse_line
 from canopen_transports.record import Record
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import REMOTE, Frame
-from canopen_proto.testing.strategies import random_frames
+from canopen_testing.strategies import random_frames
 from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.record import Record

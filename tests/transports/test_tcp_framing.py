@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_proto.testing.strategies import random_frames
+from canopen_testing.strategies import random_frames
 from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.tcp.framing import (
     MAX_LINE,

@@ -27,8 +27,8 @@ from canopen_proto.simulation.drive.answers import Answer
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
-from canopen_proto.testing.strategies.identifiers import node_ids
-from canopen_proto.testing.strategies.objects import data_types, values
+from canopen_testing.strategies.identifiers import node_ids
+from canopen_testing.strategies.objects import data_types, values
 
 _USUAL_ENTRIES: Final = 8
 _TIMES: Final = (DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)

@@ -21,8 +21,8 @@ from canopen_data.description import (
 )
 from canopen_data.eds.writer import write_eds
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.testing.strategies.identifiers import node_ids
-from canopen_proto.testing.strategies.objects import NAMES, object_dictionaries, texts
+from canopen_testing.strategies.identifiers import node_ids
+from canopen_testing.strategies.objects import NAMES, object_dictionaries, texts
 
 _NUMBER: Final = st.integers(0, 0xFF)
 _MAYBE: Final = st.none() | st.integers(0, 0xFFFF_FFFF)

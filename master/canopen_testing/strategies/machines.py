@@ -29,9 +29,9 @@ from canopen_proto.procedures.objects import read
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, download
 from canopen_proto.testing.faults import Fault, Pause, Reset
 from canopen_proto.testing.patterns import boot_up
-from canopen_proto.testing.strategies.devices import PlannedDevice, networks
-from canopen_proto.testing.strategies.objects import values
 from canopen_proto.testing.world import World
+from canopen_testing.strategies.devices import PlannedDevice, networks
+from canopen_testing.strategies.objects import values
 
 _PAUSES: Final = st.sampled_from([each * MILLISECOND for each in (1, 20, 100, 1000)])
 _PLACES: Final = st.integers(0, 4)

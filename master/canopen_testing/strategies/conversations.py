@@ -16,8 +16,8 @@ from canopen_proto.machine import NEVER, Outbox, Time
 from canopen_proto.nmt import ALL_NODES, NmtCommand
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.server import SdoServer
-from canopen_proto.testing.strategies.identifiers import node_ids
-from canopen_proto.testing.strategies.objects import values
+from canopen_testing.strategies.identifiers import node_ids
+from canopen_testing.strategies.objects import values
 
 _INDICES: Final = st.sampled_from((0x2000, 0x1018, 0x6041)) | st.integers(0x1000, 0xFFFF)
 

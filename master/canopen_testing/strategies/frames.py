@@ -30,7 +30,7 @@ from canopen_proto.sdo.codec import (
     pack_initiate,
     segment,
 )
-from canopen_proto.testing.strategies.identifiers import node_ids
+from canopen_testing.strategies.identifiers import node_ids
 
 _PDOS: Final = (ids.TPDO1, ids.RPDO1, ids.TPDO2, ids.RPDO2, ids.TPDO3, ids.RPDO3, ids.TPDO4, ids.RPDO4)
 _STATES: Final = (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL, NmtState.STOPPED)
