@@ -91,6 +91,14 @@ DRIVE_MUTANTS: Final = tuple(
             SEQUENCE,
         ),
         (
+            "brakes_beyond",
+            "drives/axis/target_sequence.py",
+            "        limit = limits_of(axis).position_excess(here, here + way)\n",
+            "        limit = limits_of(axis).position_excess(here, here)\n",
+            "a drive that is called back at once, with a low deceleration, brakes beyond its limit",
+            SEQUENCE,
+        ),
+        (
             "runs_on_beyond",
             "drives/axis/target_sequence.py",
             "                if limit is not None:\n                    reason",

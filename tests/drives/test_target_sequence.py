@@ -322,3 +322,31 @@ def test_a_drive_that_runs_on_behind_its_target_is_halted_before_a_limit(side: i
     assert isinstance(ended.error, drive.LimitReachedError)
     assert "it passed its target at 10 per second, and came near" in str(ended.error)
     assert 12 < farthest <= 20
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("deceleration", [5, 100, 200, None])
+@pytest.mark.parametrize("pause", [300, 600, 700])
+def test_no_target_at_once_brings_a_deceleration_with_which_the_drive_passes_a_limit(
+    side: int, direction: int, deceleration: float | None, pause: int
+) -> None:
+    """It goes to 18 degrees at 20 a second, and is called back on the way. Where it can still stop, it comes back."""
+    rig = rig_at_zero()
+    rig.axis.settings = replace(DEGREES, min_position=-20.0, max_position=20.0, direction=direction, keeps_reference=True)
+    called_back = ProfileTarget(0, start=Start.AT_ONCE, pause=pause * MILLISECOND, deceleration=deceleration)
+    request = rig.master.run(
+        along(rig, ProfileTarget(side * 18, velocity=20, acceleration=100, deceleration=100), called_back), rig.bus.now
+    )
+    farthest = 0.0
+    while rig.master.runner.busy:
+        rig.bus.run(MILLISECOND)
+        rig.drive.refresh(rig.bus.now)
+        farthest = max(farthest, side * direction * rig.drive._servo.position / 1000)
+    ended = rig.outcome(request)
+    assert farthest <= 20
+    assert isinstance(ended, ProcedureFailed) == (deceleration == 5)
+    if isinstance(ended, ProcedureFailed):
+        assert isinstance(ended.error, drive.LimitReachedError)
+        assert "would need" in str(ended.error)
+        assert farthest > 2, "it was under way"

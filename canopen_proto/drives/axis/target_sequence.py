@@ -79,8 +79,9 @@ class ProfileTarget:
     rounded down to the drive's unit, and stay in the drive. None keeps the last one, which at first is the drive's own (0x6081,
     0x6083, 0x6084). end_velocity: the speed with which the drive passes the target (0x6082); 0 for the last one. A drive that
     gets its next target late runs on at that speed: ON_THE_WAY is safer, because it stops. During a pause it is halted before
-    min_position and max_position of the settings. direction: the way to an absolute
-    target of an axis without end, in the user's direction (0x60F2); None leaves it as the drive has it.
+    min_position and max_position of the settings; and it is halted where it could not stop before them with the deceleration of a
+    target AT_ONCE. direction: the way to an absolute target of an axis without end, in the user's direction (0x60F2); None leaves
+    it as the drive has it.
     """
 
     position: float
@@ -229,6 +230,8 @@ class _Feeder:
             yield from self._wait_for_target()
             start = Start.AT_ONCE
         value, relation = yield from self._place(point, is_first=number == 0)
+        if start is Start.AT_ONCE and number:
+            yield from self._require_way_to_stop(self._profiles[number].get(objects.PROFILE_DECELERATION))
         word = Command.ENABLE_OPERATION | relation
         word |= {Start.AT_ONCE: ModeControl.CHANGE_SET_IMMEDIATELY, Start.ON_THE_WAY: ModeControl.CHANGE_ON_SET_POINT}.get(
             start, 0
@@ -340,6 +343,29 @@ class _Feeder:
         if ramp is None or unit is None:
             return speed * (delay + axis.settings.halt_time / SECOND)
         return speed * delay + speed * speed / (2 * axis.scale.amount_from_counts(ramp * unit))
+
+    def _require_way_to_stop(self, rate: int | None) -> Procedure[None]:
+        """Raise LimitReachedError if a drive that is under way would pass a limit of the settings while it brakes for the next
+        target. rate: the deceleration that comes with that target, in the drive's unit; None: it stays, and the drive can stop at
+        the target before."""
+        axis, node = self._axis, self._axis.node
+        unit, velocity_unit = axis.scale.acceleration_unit, axis.scale.velocity_unit
+        if rate is None or unit is None or velocity_unit is None or axis.has_lost_reference:
+            return
+        present = yield from read_if_present(node, objects.PROFILE_DECELERATION)
+        number = yield from read_if_present(node, objects.VELOCITY_ACTUAL_VALUE)
+        if not isinstance(number, int) or (isinstance(present, int) and rate >= present):
+            return
+        velocity = axis.scale.velocity_from_wire(number)
+        here = axis.scale.from_counts((yield from demand_of(axis)))
+        delay = (axis.settings.obeys_within + FRESH) / SECOND
+        way = velocity * delay + velocity * abs(velocity) / (2 * axis.scale.amount_from_counts(rate * unit))
+        limit = limits_of(axis).position_excess(here, here + way)
+        if limit is not None:
+            reason = f"it moves at {abs(velocity):.4g} per second, and would need {abs(way):.4g} to stop with the next target's"
+            reason += f" deceleration; {limit.source} say {limit.value:g}"
+            remedy = "a larger deceleration, or a target that starts when the one before is reached"
+            raise LimitReachedError(axis, f"was halted at {here:g}", reason=reason, remedy=remedy, looks=False)
 
     def _wait_for_target(self) -> Procedure[None]:
         yield from wait_for_target(self._axis, self._target, self._given_at, (yield from self._left()), not self._is_exact)
