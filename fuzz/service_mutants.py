@@ -89,8 +89,8 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "no_question",
             _QUEUE,
-            "return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)",
-            "return False",
+            "            return self.may_meet_another(transfer, now, timeout)\n",
+            "            return False\n",
             "a write is confirmed by the second copy of the answer to the one before",
             COPIES,
         ),
@@ -105,8 +105,8 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "restore_believes_a_copy",
             _QUEUE,
-            "return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)",
-            "return False",
+            "            return self.may_meet_another(transfer, now, timeout)\n",
+            "            return False\n",
             "a restore is told as done though the device has refused its last write of an object",
             RESTORE,
         ),
