@@ -13,7 +13,10 @@ from canopen_gateway.traffic.ring import CAPACITY
 from canopen_gateway.web.api import MOST_TRACES, ROUTES
 from canopen_gateway.web.guard import SEND_SECONDS
 from canopen_gateway.web.live import LOG_LENGTH
+from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.servo import DriveSettings
 from canopen_transports import open_transport
 from tests.gateway.web_world import WebWorld, web
 from tests.master.world import BUS, arm_of, virtual_time
@@ -61,6 +64,21 @@ async def test_objects_are_found_read_and_written() -> None:
         written = await world.http.put(path, content=b"\xc8\x00", headers={"content-type": "application/octet-stream"})
         assert written.status_code == 200
         assert (await world.get("/1/3/objects/1017"))["value"] == 200
+
+
+class BusyDrive(DriveNode):
+    """A drive that refuses to tell its first PDO."""
+
+    def read(self, index: int, subindex: int, now: int) -> Any:
+        return AbortCode.DEVICE_STATE if index == 0x1400 else super().read(index, subindex, now)
+
+
+@virtual_time
+async def test_a_node_that_refuses_is_not_told_as_silent() -> None:
+    async with web(makers=[lambda out: BusyDrive(out, 4, DriveSettings())]) as world:
+        answer = await world.http.get("/api/v1/1/4/pdos")
+        assert (answer.status_code, answer.json()["error"]["abort"]) == (409, "0x08000022")
+        assert (await world.http.get("/api/v1/1/99/pdos")).status_code == 504
 
 
 @virtual_time
