@@ -308,6 +308,17 @@ class SdoClient(ChannelEnd):
             self._begin_next(now)  # copy_guard may have held back the one that is gone
         return True
 
+    def not_submitted(self, index: int, subindex: int) -> SdoAborted:
+        """Return the outcome of a request that its caller has given up before this client had it."""
+        return SdoAborted(self.node_id, NOBODY, index, subindex, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)
+
+    def make_way(self, now: Time) -> None:
+        """Give the transfer under way up, as `cancel` does, if an urgent request waits for it. Does nothing if it is urgent
+        itself, or a question, which is over soon."""
+        transfer = self._transfer
+        if transfer is not None and self._queue.urgent and not transfer.is_urgent and transfer.request_id != NOBODY:
+            self.cancel(transfer.request_id, now)
+
     def abort_all(self, abort_code: int, now: Time) -> None:
         """End all requests (the server is gone): SdoAborted with origin LOCAL for each; the running one is aborted on the bus.
         abort_code: 0..0xFFFFFFFF, else LocalProtocolError."""

@@ -316,13 +316,16 @@ class GatewaySession:
         block: Block = False,
     ) -> None:
         """Write an object's bytes. timeout: seconds for each answer of the node. Raises NotAllowedError; LeaseError if it moves
-        something while somebody else moves the machine, or may start a drive with power anew; else as `read`."""
+        something while somebody else moves the machine, or may start a drive with power anew, or for a controlword whose drive
+        was halted while it waited for its turn; else as `read`."""
         self.service.guard.require_write(index, subindex)
         permission, what = permission_to_write(index, subindex), f"writing 0x{index:04X}:{subindex:02X}"
+        halts = self.service.lease.halts_of(self.service.node(net, node_id))
         async with self.service.turn(net, node_id) as node:
             # asked when its turn has come: the lease may have been taken meanwhile
             if permission is Permission.MOTION:
                 self.service.lease.require_free(self, what)
+                self.service.lease.require_no_halt(node, index, halts)
                 self.service.lease.note_command(node, index)
             elif permission is Permission.PROGRAM:  # which may start the device anew
                 await self.service.lease.require_no_power(self, net, node_id, what)

@@ -307,6 +307,12 @@ class BlockingNode(NodeTwin):
         """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilentError after `timeout` seconds."""
         return self._hub.run(None, self._inner.wait_for_heartbeat, timeout)
 
+    def drop_commands(self) -> None:
+        """Let no controlword leave that waits: for its drive to watch over this master, or behind another transfer. Its write
+        ends with SdoGivenUpError. Any stop does this for its own drive; this is for a drive that seems to need none.
+        """
+        self._hub.do(self._inner.drop_commands)
+
     def is_held(self, axis: int = 0) -> bool:
         """Return whether the drive on an axis of this node watches the heartbeat of this master; see watchdog.py."""
         return self._hub.do(self._inner.is_held, axis)
