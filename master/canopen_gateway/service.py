@@ -199,13 +199,8 @@ class GatewayService:
         node = self.node(net, node_id)
         with self.under_way:
             async with self._turns[net, node_id]:
-                client = node.remote.sdo
-                before, client.max_upload = client.max_upload, self.limits.value_bytes
-                try:
-                    with self.request_times.measured(net):
-                        yield node
-                finally:
-                    client.max_upload = before
+                with self.request_times.measured(net):
+                    yield node
 
     async def find_nodes(self, net: str) -> None:
         """Ask all node-IDs of a net that were not heard yet for their device type: reading, which everybody may. `heard_nodes` of
@@ -298,7 +293,8 @@ class GatewaySession:
         raises; GatewayFullError."""
         async with self.service.turn(net, node_id) as node:
             patience = None if self.service.is_moved(node) else timeout
-            return await node.read_bytes(index, subindex, block=block, patience=patience)
+            most = self.service.limits.value_bytes
+            return await node.read_bytes(index, subindex, block=block, patience=patience, most=most)
 
     async def read_name(self, net: str, node_id: int) -> str:
         """Read the name that a device has of its maker (0x1008). Raises as `read`."""

@@ -202,12 +202,20 @@ class Node(Peer):
         return variable
 
     async def read_bytes(
-        self, key: Key, subindex: int | None = None, *, block: Block = False, patience: float | None = None
+        self,
+        key: Key,
+        subindex: int | None = None,
+        *,
+        block: Block = False,
+        patience: float | None = None,
+        most: int | None = None,
     ) -> bytes:
         """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default. patience:
-        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least."""
+        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least. most: bytes that are taken; a
+        longer value is refused with 0x05040005; None: 16 MiB."""
         place, timeout = self._place(key, subindex), _time_of(patience)
-        return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block, timeout=timeout))).data
+        uploaded = await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block, timeout=timeout, most=most))
+        return uploaded.data
 
     async def write_bytes(
         self, index: int, subindex: int, data: bytes, *, block: Block = False, patience: float | None = None

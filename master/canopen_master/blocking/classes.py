@@ -175,12 +175,14 @@ class BlockingNode(NodeTwin):
         *,
         block: Block = False,
         patience: float | None = None,
+        most: int | None = None,
         timeout: float | None = None,
     ) -> bytes:
         """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default. patience:
-        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least.
+        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least. most: bytes that are taken; a
+        longer value is refused with 0x05040005; None: 16 MiB.
         """
-        return self._hub.run(timeout, self._inner.read_bytes, key, subindex, block=block, patience=patience)
+        return self._hub.run(timeout, self._inner.read_bytes, key, subindex, block=block, patience=patience, most=most)
 
     def write_bytes(
         self,
