@@ -329,15 +329,15 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "impatience_reaches_the_chain",
             _SERVICE,
-            "            patience = None if self.service.is_moved(node) else timeout\n            return",
-            "            patience = timeout\n            return",
+            "            patience = None if self.service.is_moved(node) else timeout\n            most",
+            "            patience = timeout\n            most",
             "a client that waits a millisecond only stops the chain whose joint it asks",
             SERVICE,
         ),
         (
             "time_out_stays",
             _SERVICE,
-            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience, most=most)\n",
             (
                 "            node.remote.sdo.timeout = round((patience or 0.5) * 1e9)\n"
                 "            return await node.read_bytes(index, subindex, block=block)\n"
@@ -348,7 +348,7 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "impatience_reaches_a_halt",
             _SERVICE,
-            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience, most=most)\n",
             (
                 "            before, client = node.remote.sdo.timeout, node.remote.sdo\n"
                 "            client.timeout = before if patience is None else round(patience * 1e9)\n"
@@ -844,10 +844,18 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "word_behind_the_lease",
+            _LEASE,
+            "            for each in self._commanded:  # what others have said, and waits, would reach a drive of the owner's\n",
+            "            for each in ():\n",
+            "the controlword of a client without the lease gives power to a drive that another one has begun to move",
+            LEASE,
+        ),
+        (
             "power_behind_a_halt",
             _LEASE,
-            "                each.drop_commands()\n",
-            "                pass\n",
+            "            if _is_at(each, net, node_id):\n                each.drop_commands()\n",
+            "            pass\n",
             "a halt finds a drive without power, says that all stands, and the drive gets its power a moment later",
             LEASE,
         ),

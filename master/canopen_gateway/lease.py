@@ -121,6 +121,8 @@ class Lease:
             self.owner, self._last, self.problem, self._over = session, -1, self._with_unconfirmed(), THE_TIME
             self._deadline = trio.current_time() + LEASE_TIME
             self._nursery.start_soon(self._watch, session)
+            for each in self._commanded:  # what others have said, and waits, would reach a drive of the owner's
+                each.drop_commands()
 
     def renew(self, session: LeaseHolder, sequence: int) -> None:
         """Show that the owner lives. sequence: greater than that of each message before. Raises LeaseError."""

@@ -914,3 +914,23 @@ async def test_a_halt_ends_a_controlword_that_waits_until_its_drive_watches_the_
             assert answers[0].startswith("[2] ERROR:0x08000000 #a stop of its drive went before it"), answers
             assert drives(host)[0].drive.state is State.SWITCHED_ON
             assert not is_moving(host)
+
+
+@virtual_time
+async def test_a_controlword_of_another_client_that_waits_is_not_sent_once_somebody_has_the_lease() -> None:
+    async with machine() as (host, service, _):
+        with service.open_session("hand") as hand, service.open_session("owner") as owner:
+            client, answers = TextClient(hand), list[str]()
+            for word in ("6", "7"):
+                assert await client.say(f"[1] 3 w 0x6040 0 u16 {word}") == "[1] OK"
+
+            async def enable() -> None:
+                answers.append(await client.say("[2] 3 w 0x6040 0 u16 0xF"))
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(enable)
+                await trio.sleep(0.05)
+                service.lease.take(owner)
+            assert answers[0].startswith("[2] ERROR:0x08000000"), answers
+            assert drives(host)[0].drive.state is State.SWITCHED_ON
+            service.lease.leave(owner)
