@@ -21,7 +21,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox, Outc
 from canopen_proto.network import Network
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
-from canopen_proto.procedures.steps import Cancelled, Procedure, sleep
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError, sleep
 from canopen_proto.remote_node import FRESH, RemoteNode
 from canopen_proto.sdo.events import SdoAborted, SdoUploaded
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -181,6 +181,7 @@ def test_no_stop_waits_for_the_end_of_another_transfer(name: str, other: str) ->
     assert first - began <= 2 * FRESH  # of a halt it may be that the statusword is asked for first, in vain
     (ended,) = outcomes(rig, request_id)
     assert (type(ended), ended.origin) == (SdoAborted, AbortOrigin.CANCELLED)
+    assert "given up: a stop of its drive went before it" in str(SdoTransferError(ended, "reading"))
 
 
 def test_a_stop_lets_a_transfer_of_a_few_frames_come_to_its_end() -> None:
