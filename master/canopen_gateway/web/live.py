@@ -223,10 +223,11 @@ class LiveClient:
                 nursery.start_soon(self._halt, message)
             case "watch":
                 objects = [self._watched(each) for each in message.get("objects", ())]
+                period = _number(message.get("period", 0.1))
+                mark = _sequence(message, "mark") if "mark" in message else None
                 self._watch_scope.cancel()
                 self._watch_scope = trio.CancelScope()
-                period = _number(message.get("period", 0.1))
-                nursery.start_soon(self._watch, self._watch_scope, objects, period)
+                nursery.start_soon(self._watch, self._watch_scope, objects, period, mark)
             case "monitor":
                 self._monitor_scope.cancel()
                 if message.get("on", True):
@@ -310,8 +311,10 @@ class LiveClient:
             raise ValueError("an object to watch is [net, node, object]")
         return self._subject.place_of(self._subject.find_net(str(place[0])), find_node(place[1]), str(place[2]))
 
-    async def _watch(self, scope: trio.CancelScope, objects: Sequence[WatchedObject], period: float) -> None:
-        """Send values until something else is watched. A value that a PDO brings is sent each time that it comes."""
+    async def _watch(self, scope: trio.CancelScope, objects: Sequence[WatchedObject], period: float, mark: int | None) -> None:
+        """Send values until something else is watched. A value that a PDO brings is sent each time that it comes. mark: stands in
+        each message, since values of what was watched before may be on their way still; their numbers mean other objects."""
+        marked = {} if mark is None else {"mark": mark}
         if not objects:
             return
         with scope:
@@ -321,7 +324,7 @@ class LiveClient:
                     while True:
                         rows = take()
                         if rows:
-                            self.put(json_text({"k": "values", "values": rows}))
+                            self.put(json_text({"k": "values", **marked, "values": rows}))
                         await trio.sleep(FLUSH)
             except* (GatewayError, *EXPECTED) as failed:
                 self.put(json_text({"k": "error", "about": "watch", **error_data(first_of(failed))}))
@@ -337,10 +340,10 @@ def _list(message: dict[str, Any], name: str, kind: type[T]) -> list[T]:
     return found
 
 
-def _sequence(message: dict[str, Any]) -> int:
-    number = message.get("n")
+def _sequence(message: dict[str, Any], name: str = "n") -> int:
+    number = message.get(name)
     if not isinstance(number, int) or isinstance(number, bool):
-        raise ValueError("the message needs a number, n, above all before")
+        raise ValueError(f"the message needs a number, {name}, above all before")
     return number
 
 
