@@ -96,6 +96,8 @@ async def test_values_say_which_choice_they_are_of() -> None:
                 names = {row[2] for row in message["values"] if row[0] == 0}
                 assert message["mark"] == 1 or names == {"Simulated Schunk Powerball joint"}
             assert message["mark"] == 2
+            page.say("monitor", mark=3)
+            assert (await page.heard("frames"))["mark"] == 3
             page.say("watch", objects=[PLACE], mark="new")
             assert "needs a number, mark" in (await page.heard("error"))["text"]
 
