@@ -846,8 +846,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "word_behind_the_lease",
             _LEASE,
-            "            for each in self._commanded:  # what others have said, and waits, would reach a drive of the owner's\n",
-            "            for each in ():\n",
+            "            for each in self._commanded.keys() - self._in_use():",
+            "            for each in ():",
             "the controlword of a client without the lease gives power to a drive that another one has begun to move",
             LEASE,
         ),

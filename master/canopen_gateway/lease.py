@@ -121,7 +121,7 @@ class Lease:
             self.owner, self._last, self.problem, self._over = session, -1, self._with_unconfirmed(), THE_TIME
             self._deadline = trio.current_time() + LEASE_TIME
             self._nursery.start_soon(self._watch, session)
-            for each in self._commanded:  # what others have said, and waits, would reach a drive of the owner's
+            for each in self._commanded.keys() - self._in_use():  # what others have said, and waits, would reach a drive of his
                 each.drop_commands()
 
     def renew(self, session: LeaseHolder, sequence: int) -> None:
@@ -482,6 +482,11 @@ class Lease:
         """Return the nodes that may move without a chain: those commanded by single writes, and the one that was named."""
         led = self._led()
         return [node for node in self._drives(net, node_id) if node not in led]
+
+    def _in_use(self) -> set[Node]:
+        """Return the nodes of chains that move, or are about to: a program beside the gateway may be giving them power."""
+        chains = [each for each in self._master.chains.values() if each.is_busy or each.state is not ChainState.OFF]
+        return {device.node for chain in chains for device in chain.devices}
 
     def _led(self) -> set[Node]:
         return {each.node for chain in self._master.chains.values() for each in _led(chain)}
