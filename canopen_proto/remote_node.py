@@ -236,6 +236,13 @@ class RemoteNode(Group):
         for request_id in self.sdo.waiting_writes(*split_mux(mux)):
             self.cancel(request_id, now)
 
+    def make_way(self, now: Time) -> None:
+        """End the transfer of `sdo` under way if an urgent request waits for it: SdoAborted (CANCELLED) follows. Does nothing if
+        it is urgent itself."""
+        mark = len(self.inner.events)
+        self.sdo.make_way(now)
+        self._settle(mark, now)
+
     def add_sdo_channel(self, request_key: RoutingKey, response_key: RoutingKey) -> SdoClient:
         """Return a client for another SDO server of the node (0x1201 and on). request_key: to the server; response_key: from it.
 

@@ -115,6 +115,14 @@ DRIVE_MUTANTS: Final = tuple(
             RUN_AT,
         ),
         (
+            "stop_waits_for_a_backup",
+            "procedures/urgent.py",
+            "            yield from act(node.make_way)\n",
+            "            continue\n",
+            "a stop waits until a long transfer of the drive is over, and the drive runs on for minutes",
+            STOP_FIRST,
+        ),
+        (
             "stop_undone",
             "drives/axis/exclusive_motion.py",
             "if occupancy.stops == 1:",

@@ -321,23 +321,23 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "silent_counts_as_unpowered",
             _LEASE,
-            "                is_powered = error.abort_code not in ABSENT\n",
-            "                is_powered = False\n",
+            "    return not (isinstance(outcome, SdoAborted) and outcome.abort_code in ABSENT)\n",
+            "    return False\n",
             "a drive that a client has set moving is silent, and the halt says that all stands",
             LEASE,
         ),
         (
             "impatience_reaches_the_chain",
             _SERVICE,
-            "            patience = None if self.service.is_moved(node) else timeout\n            return",
-            "            patience = timeout\n            return",
+            "            patience = None if self.service.is_moved(node) else timeout\n            most",
+            "            patience = timeout\n            most",
             "a client that waits a millisecond only stops the chain whose joint it asks",
             SERVICE,
         ),
         (
             "time_out_stays",
             _SERVICE,
-            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience, most=most)\n",
             (
                 "            node.remote.sdo.timeout = round((patience or 0.5) * 1e9)\n"
                 "            return await node.read_bytes(index, subindex, block=block)\n"
@@ -348,7 +348,7 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "impatience_reaches_a_halt",
             _SERVICE,
-            "            return await node.read_bytes(index, subindex, block=block, patience=patience)\n",
+            "            return await node.read_bytes(index, subindex, block=block, patience=patience, most=most)\n",
             (
                 "            before, client = node.remote.sdo.timeout, node.remote.sdo\n"
                 "            client.timeout = before if patience is None else round(patience * 1e9)\n"
@@ -467,8 +467,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "halt_needs_permission",
             _LEASE,
-            "        self.stop_motion()\n        chains = [",
-            '        self._guard.require(Permission.MOTION, "halt")\n        chains = [',
+            "        self._halts[net, node_id] += 1\n",
+            '        self._guard.require(Permission.MOTION, "halt")\n',
             "nobody may halt at a read-only gateway",
             LEASE,
         ),
@@ -834,6 +834,30 @@ GATEWAY_MUTANTS: Final = tuple(
             'node.name = name if isinstance(name, str) else ""',
             "a bridge sends a name of a million characters to each page",
             PICTURE,
+        ),
+        (
+            "turn_behind_a_halt",
+            _SERVICE,
+            "                self.service.lease.require_no_halt(node, index, halts)\n",
+            "",
+            "a controlword that waited for its turn goes out behind a halt, and the drive moves",
+            LEASE,
+        ),
+        (
+            "word_behind_the_lease",
+            _LEASE,
+            "            for each in self._commanded.keys() - self._in_use():",
+            "            for each in ():",
+            "the controlword of a client without the lease gives power to a drive that another one has begun to move",
+            LEASE,
+        ),
+        (
+            "power_behind_a_halt",
+            _LEASE,
+            "            if _is_at(each, net, node_id):\n                each.drop_commands()\n",
+            "            pass\n",
+            "a halt finds a drive without power, says that all stands, and the drive gets its power a moment later",
+            LEASE,
         ),
         (
             "fleet_page_hears_all_pdos",

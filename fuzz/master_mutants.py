@@ -23,6 +23,7 @@ PATH_MOTION: Final = ("tests/master/test_path_motion.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 BACKGROUND: Final = ("tests/master/test_blocking_background.py",)
 BLOCKING: Final = ("tests/master/test_blocking.py",)
+BY_HAND: Final = ("tests/master/test_enabled_by_hand.py",)
 MOVING: Final = ("tests/master/test_moving.py",)
 
 _MEMBER: Final = "canopen_master/motion/member.py"
@@ -348,6 +349,14 @@ MASTER_MUTANTS: Final = tuple(
             "            pass\n",
             "the master ends beside calls that still clean up",
             BACKGROUND,
+        ),
+        (
+            "power_behind_a_stop",
+            "canopen_master/node.py",
+            "            if self._stops_of(axis) != stops:",
+            "            if False:",
+            "a word that enables waits until the drive watches the master, and goes out behind a stop",
+            BY_HAND,
         ),
         (
             "back_beyond_its_limits",

@@ -19,7 +19,7 @@ not prepared stays where it is, and disturbs the bus with every frame that it se
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from canopen_proto.lss.assign import LssNotSelectedError, select_only
@@ -34,10 +34,12 @@ DELAY: Final = 1000 * MILLISECOND
 
 @dataclass(frozen=True)
 class Refusal:
-    """A device that did not do its part. remark: what it said, for people."""
+    """A device that did not do its part. remark: what it said, for people. is_silent: it was told to, and said nothing: it may
+    have done it."""
 
     address: LssAddress
     remark: str
+    is_silent: bool = False
 
 
 def index_of(bit_rate: int) -> int:
@@ -59,10 +61,10 @@ def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate
     prepared: list[LssAddress] = []
     try:
         for address in addresses:
-            remark = yield from _set(tool, pace, address, index)
+            refusal = yield from _set(tool, pace, address, index)
             prepared.append(address)  # one that did not answer may have it all the same
-            if remark:
-                return [Refusal(address, remark), *(yield from _put_back(tool, pace, prepared, old))]
+            if refusal is not None:
+                return [refusal, *(yield from _put_back(tool, pace, prepared, old))]
     except Cancelled:
         yield from ask_for_time(TRIES * pace.window + SECOND)
         yield from take_back(tool, pace, present)
@@ -83,14 +85,14 @@ def take_back(tool: LssTool, pace: Pace, present: int) -> Procedure[None]:
 def _put_back(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress], index: int) -> Procedure[list[Refusal]]:
     failed = []
     for address in addresses:
-        remark = yield from _set(tool, pace, address, index)
-        if remark:
-            failed.append(Refusal(address, f"the old bit rate may not be set again: {remark}"))
+        refusal = yield from _set(tool, pace, address, index)
+        if refusal is not None:
+            failed.append(replace(refusal, remark=f"the old bit rate may not be set again: {refusal.remark}"))
     return failed
 
 
-def _set(tool: LssTool, pace: Pace, address: LssAddress, index: int) -> Procedure[str]:
-    """Set the pending bit rate of one device; return "" if it has confirmed it, else why not."""
+def _set(tool: LssTool, pace: Pace, address: LssAddress, index: int) -> Procedure[Refusal | None]:
+    """Set the pending bit rate of one device; return None if it has confirmed it, else why not."""
     return (yield from _on_selected(tool, pace, address, LssService.CONFIGURE_BIT_TIMING, index))
 
 
@@ -99,22 +101,21 @@ def store_all(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Pro
     devices."""
     failed = []
     for address in addresses:
-        remark = yield from _on_selected(tool, pace, address, LssService.STORE, 0)
-        if remark:
-            failed.append(Refusal(address, remark))
+        refusal = yield from _on_selected(tool, pace, address, LssService.STORE, 0)
+        if refusal is not None:
+            failed.append(refusal)
     return failed
 
 
-def _on_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[str]:
+def _on_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[Refusal | None]:
     return (yield from released(tool, _while_selected(tool, pace, address, service, index)))
 
 
-def _while_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[str]:
+def _while_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[Refusal | None]:
     try:
         yield from select_only(tool, pace, address)
     except LssNotSelectedError as failed:
-        return str(failed)
-    remark = "it does not answer: not supported by this device?"
+        return Refusal(address, str(failed))
     for _ in range(TRIES):
         if service is LssService.STORE:
             reply = yield from ask(tool, lambda now: tool.master.store(now, guard=pace.after_answer))
@@ -122,9 +123,8 @@ def _while_selected(tool: LssTool, pace: Pace, address: LssAddress, service: Lss
             reply = yield from ask(tool, lambda now: tool.master.configure_bit_timing(index, now, window=pace.window))
         if reply.count:
             errors = {error_text(service, answer[1], answer[2]) for answer in reply.answers if answer[1] != OK}
-            remark = f"the device says: {', '.join(sorted(errors))}" if errors else ""
-            break
-    return remark
+            return Refusal(address, f"the device says: {', '.join(sorted(errors))}") if errors else None
+    return Refusal(address, "it does not answer: not supported by this device?", is_silent=True)
 
 
 def activate(tool: LssTool, delay: Time = DELAY) -> Procedure[None]:

@@ -66,6 +66,8 @@ class SdoTransferError(ProcedureError):
             message = f"node {self.node_id} did not answer {place}"
         elif aborted.origin is AbortOrigin.PEER:
             message = f"node {self.node_id} refused {place}: abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
+        elif aborted.origin is AbortOrigin.CANCELLED:
+            message = f"{place} of node {self.node_id} was given up: a stop of its drive went before it, or it was taken back"
         elif aborted.origin is AbortOrigin.CONTESTED:
             message = f"{place} of node {self.node_id} was disturbed: another SDO client on its channel {aborted.others_doing}"
         else:

@@ -183,21 +183,31 @@ class SdoClient(ChannelEnd):
     # ---- commands ----
 
     def upload(
-        self, index: int, subindex: int, now: Time, *, urgent: bool = False, block: Block = False, timeout: Time | None = None
+        self,
+        index: int,
+        subindex: int,
+        now: Time,
+        *,
+        urgent: bool = False,
+        block: Block = False,
+        timeout: Time | None = None,
+        most: int | None = None,
     ) -> RequestId:
         """Ask the server for an object's value.
 
         Sends an initiate request, at once if no transfer is under way. SdoUploaded or SdoAborted follows, at the latest `timeout`
         after the last frame of the transfer; in blocks two silences after it (`silence_limit`, block.py). index 0..0xFFFF,
         subindex 0..0xFF. urgent: goes before all requests that are not. block: see `Block`; "auto" asks for a block transfer
-        first, whatever the size. timeout: ns, of this request alone; None: the client's. Raises LocalProtocolError if the queue
-        is full or the numbers are impossible.
+        first, whatever the size. timeout, most: ns, and bytes, of this request alone, in place of the client's `timeout` and
+        `max_upload`. Raises LocalProtocolError if the queue is full or the numbers are impossible.
         Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
         """
+        if most is None:
+            most = self.max_upload
         if not block or (block == "auto" and not self.serves_blocks):
-            return self._submit(Upload(self, index, subindex, self.max_upload), urgent, now, timeout)
-        plain = Upload(self, index, subindex, self.max_upload) if block == "auto" else None
-        return self._submit(BlockUpload(self, index, subindex, False, self.max_upload, plain), urgent, now, timeout)
+            return self._submit(Upload(self, index, subindex, most), urgent, now, timeout)
+        plain = Upload(self, index, subindex, most) if block == "auto" else None
+        return self._submit(BlockUpload(self, index, subindex, False, most, plain), urgent, now, timeout)
 
     def download(
         self,
@@ -307,6 +317,17 @@ class SdoClient(ChannelEnd):
                 self._contested_since = NEVER
             self._begin_next(now)  # copy_guard may have held back the one that is gone
         return True
+
+    def not_submitted(self, index: int, subindex: int) -> SdoAborted:
+        """Return the outcome of a request that its caller has given up before this client had it."""
+        return SdoAborted(self.node_id, NOBODY, index, subindex, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)
+
+    def make_way(self, now: Time) -> None:
+        """Give the transfer under way up, as `cancel` does, if an urgent request waits for it. Does nothing if it is urgent
+        itself, or a question, which is over soon."""
+        transfer = self._transfer
+        if transfer is not None and self._queue.urgent and not transfer.is_urgent and transfer.request_id != NOBODY:
+            self.cancel(transfer.request_id, now)
 
     def abort_all(self, abort_code: int, now: Time) -> None:
         """End all requests (the server is gone): SdoAborted with origin LOCAL for each; the running one is aborted on the bus.

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -38,16 +39,20 @@ import trio
 
 from canopen_gateway.errors import LeaseError, first_line
 from canopen_gateway.guard import Guard, Permission
-from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoError, SdoTimeoutError
+from canopen_master import Chain, ChainState, Device, Jog, Master, MasterError, Node, SdoTimeoutError
 from canopen_proto.drives import halt
 from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
-from canopen_proto.drives.cia402.objects import STATUSWORD
+from canopen_proto.drives.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.drives.cia402.states import POWERED, state_of
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import index_of, mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures import ProcedureError
 from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.procedures.urgent import urgent_request
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.events import SdoAborted, SdoUploaded
 
 LEASE_TIME: Final = 0.3
 """Seconds from one sign of life of the owner to the next: a page that sends one each 100 ms may lose two of them."""
@@ -88,6 +93,7 @@ class Lease:
         self._wanted: list[float] = []
         self._wanted_at = -math.inf  # when these velocities came
         self._commanded: dict[Node, set[int]] = {}  # by single writes; and which axes of it nobody has seen at rest since
+        self._halts: Counter[tuple[str | None, int]] = Counter()  # what was halted, and how often
         self._pdos_sent: set[str] = set()  # the nets on which a client has sent PDOs
         self._halted_by_hand: set[str] = set()  # chains that somebody has halted, and nobody has enabled since
         self._over = THE_TIME
@@ -115,6 +121,8 @@ class Lease:
             self.owner, self._last, self.problem, self._over = session, -1, self._with_unconfirmed(), THE_TIME
             self._deadline = trio.current_time() + LEASE_TIME
             self._nursery.start_soon(self._watch, session)
+            for each in self._commanded.keys() - self._in_use():  # what others have said, and waits, would reach a drive of his
+                each.drop_commands()
 
     def renew(self, session: LeaseHolder, sequence: int) -> None:
         """Show that the owner lives. sequence: greater than that of each message before. Raises LeaseError."""
@@ -189,6 +197,21 @@ class Lease:
             data = await node.read_bytes(index, 0)
         return state_of(int.from_bytes(data, "little")) in POWERED
 
+    def halts_of(self, node: Node) -> int:
+        """Return how often a node was halted by hand so far: alone, or with its net, or with all."""
+        return sum(self._halts[net, node_id] for net in (None, node.bus) for node_id in (0, node.node_id))
+
+    def require_no_halt(self, node: Node, index: int, halts: int) -> None:
+        """Raise LeaseError for a controlword that waited for its turn while its drive was halted: behind the halt it would undo
+        it. index: of the object. halts: as `halts_of` said when the write was asked for."""
+        axis = axis_of(mux(index))
+        if self.halts_of(node) != halts and axis is not None and swapped(mux(index), axis) == CONTROLWORD:
+            raise LeaseError(
+                f"writing 0x{index:04X} of {node.where} was dropped: somebody has halted it",
+                seen="the write waited for its turn meanwhile, and nothing was sent",
+                tries=("again, if it is meant",),
+            )
+
     def note_command(self, node: Node, index: int) -> None:
         """Remember a node to which a client has written something that moves: `halt` stops it, too, whoever has given it power.
         index: of the object."""
@@ -262,7 +285,11 @@ class Lease:
         HALT_TIME at most. What was halted stays so: the lease of whoever has moved one of these chains ends, and none of them
         moves before it was given power anew (`enable`), whoever goes on sending.
         """
+        self._halts[net, node_id] += 1
         self.stop_motion()
+        for each in self._commanded:  # one whose command still waits has no power yet, and would not be halted below
+            if _is_at(each, net, node_id):
+                each.drop_commands()
         chains = [
             chain for chain in self._master.chains.values() if any(_is_at(each.node, net, node_id) for each in chain.devices)
         ]
@@ -428,15 +455,11 @@ class Lease:
         return lambda: self._master.run(halt(self._master.device(node, axis=axis).axis))
 
     async def _halt_if_powered(self, node: Node, axis: int) -> None:
-        """Halt a drive unless it says that it has no power. What has no statusword is no drive."""
+        """Halt a drive unless it says that it has no power."""
         axes = self._commanded.setdefault(node, set())
         axes.discard(axis)  # before: a client may write to it meanwhile
         try:
-            try:
-                is_powered = await self._says_powered(node, axis)
-            except SdoError as error:
-                is_powered = error.abort_code not in ABSENT
-            if is_powered:
+            if await self._master.run(_may_have_power(node.remote, index_of(swapped(STATUSWORD, axis)))):
                 await self._halt_of(node, axis)()
         except BaseException:
             axes.add(axis)
@@ -460,6 +483,11 @@ class Lease:
         led = self._led()
         return [node for node in self._drives(net, node_id) if node not in led]
 
+    def _in_use(self) -> set[Node]:
+        """Return the nodes of chains that move, or are about to: a program beside the gateway may be giving them power."""
+        chains = [each for each in self._master.chains.values() if each.is_busy or each.state is not ChainState.OFF]
+        return {device.node for chain in chains for device in chain.devices}
+
     def _led(self) -> set[Node]:
         return {each.node for chain in self._master.chains.values() for each in _led(chain)}
 
@@ -475,6 +503,15 @@ class Lease:
         if not devices:
             return node.was_enabled
         return any(device.may_move or device.state in POWERED for device in devices)
+
+
+def _may_have_power(node: RemoteNode, statusword: int) -> Procedure[bool]:
+    """Ask a drive whether it has power, before whatever else it is asked: a halt waits for the answer. What has no statusword is
+    no drive; one that does not answer may have power. statusword: its index."""
+    outcome = yield from urgent_request(node, lambda now: node.sdo.upload(statusword, 0, now, urgent=True))
+    if isinstance(outcome, SdoUploaded):
+        return state_of(int.from_bytes(outcome.data, "little")) in POWERED
+    return not (isinstance(outcome, SdoAborted) and outcome.abort_code in ABSENT)
 
 
 async def _enabled(arm: Chain) -> None:

@@ -199,13 +199,8 @@ class GatewayService:
         node = self.node(net, node_id)
         with self.under_way:
             async with self._turns[net, node_id]:
-                client = node.remote.sdo
-                before, client.max_upload = client.max_upload, self.limits.value_bytes
-                try:
-                    with self.request_times.measured(net):
-                        yield node
-                finally:
-                    client.max_upload = before
+                with self.request_times.measured(net):
+                    yield node
 
     async def find_nodes(self, net: str) -> None:
         """Ask all node-IDs of a net that were not heard yet for their device type: reading, which everybody may. `heard_nodes` of
@@ -298,7 +293,8 @@ class GatewaySession:
         raises; GatewayFullError."""
         async with self.service.turn(net, node_id) as node:
             patience = None if self.service.is_moved(node) else timeout
-            return await node.read_bytes(index, subindex, block=block, patience=patience)
+            most = self.service.limits.value_bytes
+            return await node.read_bytes(index, subindex, block=block, patience=patience, most=most)
 
     async def read_name(self, net: str, node_id: int) -> str:
         """Read the name that a device has of its maker (0x1008). Raises as `read`."""
@@ -316,13 +312,16 @@ class GatewaySession:
         block: Block = False,
     ) -> None:
         """Write an object's bytes. timeout: seconds for each answer of the node. Raises NotAllowedError; LeaseError if it moves
-        something while somebody else moves the machine, or may start a drive with power anew; else as `read`."""
+        something while somebody else moves the machine, or may start a drive with power anew, or for a controlword whose drive
+        was halted while it waited for its turn; else as `read`."""
         self.service.guard.require_write(index, subindex)
         permission, what = permission_to_write(index, subindex), f"writing 0x{index:04X}:{subindex:02X}"
+        halts = self.service.lease.halts_of(self.service.node(net, node_id))
         async with self.service.turn(net, node_id) as node:
             # asked when its turn has come: the lease may have been taken meanwhile
             if permission is Permission.MOTION:
                 self.service.lease.require_free(self, what)
+                self.service.lease.require_no_halt(node, index, halts)
                 self.service.lease.note_command(node, index)
             elif permission is Permission.PROGRAM:  # which may start the device anew
                 await self.service.lease.require_no_power(self, net, node_id, what)

@@ -417,6 +417,8 @@ def sdo_error(
         seen = f"another SDO client {aborted.others_doing}"
         return contested(CONTESTED, aborted, bus, f"{place} of {who} was disturbed{hint}", seen, _CONTESTED[0], _CONTESTED[1:])
     given_up = SdoNotConfirmedError if aborted.not_confirmed else SdoGivenUpError
+    if aborted.origin is AbortOrigin.CANCELLED:
+        return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", "", _TAKEN_BACK, ())
     is_peers = aborted.origin is AbortOrigin.PEER
     cause = "its answer to the last frame was lost" if is_peers else _OWN_REASONS.get(aborted.abort_code, "")
     twins, tries = two_devices(network, node.node_id, now), ()
@@ -432,6 +434,9 @@ _CONTESTED: Final = (
 )
 """The cause, and what to try."""
 
+
+_TAKEN_BACK: Final = "a stop of its drive went before it; or this program has taken it back itself"
+"""The cause where our own side has cancelled a request that somebody waits for."""
 
 _OWN_REASONS: Final[dict[int, str]] = {
     AbortCode.NO_SDO_CONNECTION: "it was reset, or its heartbeat was lost",

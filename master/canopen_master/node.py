@@ -66,6 +66,7 @@ class Node(Peer):
         remote.commanded.update(self._controlwords)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand: set[int] = set()  # axes; a write may be executed though no task has waited for its confirmation
         self.axes: dict[int, Axis] = {}
+        self._drops = 0
         self._guarding_left: Callable[[], None] | None = None  # the guarding under way is somebody else's
         self._pdos: NodePdos | None = None
         self.watch((SdoDownloaded,), self._on_written)
@@ -201,12 +202,20 @@ class Node(Peer):
         return variable
 
     async def read_bytes(
-        self, key: Key, subindex: int | None = None, *, block: Block = False, patience: float | None = None
+        self,
+        key: Key,
+        subindex: int | None = None,
+        *,
+        block: Block = False,
+        patience: float | None = None,
+        most: int | None = None,
     ) -> bytes:
         """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default. patience:
-        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least."""
+        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least. most: bytes that are taken; a
+        longer value is refused with 0x05040005; None: 16 MiB."""
         place, timeout = self._place(key, subindex), _time_of(patience)
-        return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block, timeout=timeout))).data
+        uploaded = await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block, timeout=timeout, most=most))
+        return uploaded.data
 
     async def write_bytes(
         self, index: int, subindex: int, data: bytes, *, block: Block = False, patience: float | None = None
@@ -411,12 +420,29 @@ class Node(Peer):
             return
         enables = enables_operation(value)
         if enables and not self.was_axis_enabled(axis):
+            stops = self._stops_of(axis)
             await self.hold(axis)
+            if self._stops_of(axis) != stops:  # behind that stop it would undo it
+                raise self.error_of(self.remote.sdo.not_submitted(*place_of(mux)), f"writing {value!r} to")
         if enables:
             self._enabled_by_hand.add(axis)
         yield
         if not enables:
             self._enabled_by_hand.discard(axis)
+
+    def _stops_of(self, axis: int) -> int:
+        """Return how many stops of a drive have begun so far."""
+        known = self.axes.get(axis)
+        return self._drops + (0 if known is None else known.occupancy.stops_begun)
+
+    @protected
+    def drop_commands(self) -> None:
+        """Let no controlword leave that waits: for its drive to watch over this master, or behind another transfer. Its write
+        ends with SdoGivenUpError. Any stop does this for its own drive; this is for a drive that seems to need none."""
+        self._drops += 1
+        for key in self._controlwords:
+            self.remote.drop_waiting(key, self.now())
+        self._participant.pump.pump()
 
     def is_held(self, axis: int = 0) -> bool:
         """Return whether the drive on an axis of this node watches the heartbeat of this master; see watchdog.py."""

@@ -11,7 +11,9 @@ from canopen_cli.lss.set import read_table
 from canopen_cli.shared import questions
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.simulation import serving
-from canopen_proto.lss.slave import LssSlave
+from canopen_proto.lss.messages import LssService
+from canopen_proto.lss.slave import STORAGE_FAILED, LssSlave
+from tests.builds import replaces_what_is_compiled
 from tests.cli.cli_support import Run
 from tests.cli.command_examples import json_that_fits
 
@@ -187,6 +189,24 @@ def test_store_and_set_bitrate_answer_json(run: Run) -> None:
     assert not done["dry_run"]
     passing = run(*words, "--yes", "--delay", "100ms", "--no-store").json
     assert [each["stored"] for each in passing["devices"]] == [None] * 6
+
+
+@replaces_what_is_compiled
+@pytest.mark.parametrize(("refuses", "stored"), [(True, False), (False, None)])
+def test_a_device_whose_answer_alone_is_missing_is_not_told_as_one_that_has_not_stored(
+    run: Run, monkeypatch: pytest.MonkeyPatch, refuses: bool, stored: bool | None
+) -> None:
+    def answered(self: LssSlave, service: LssService, error: int, specific: int = 0) -> None:
+        if service is not LssService.STORE:
+            answer(self, service, error, specific)
+        elif refuses:
+            answer(self, service, STORAGE_FAILED, specific)
+
+    answer = LssSlave._answer_error
+    monkeypatch.setattr(LssSlave, "_answer_error", answered)
+    told = run("lss", "set-bitrate", "250k", "--present", "500k", "--json", "--yes", "--delay", "100ms", *QUICK)
+    assert (told.status, "did not confirm that they stored" in told.err) == (ExitCode.PARTIAL, True), told.err
+    assert [each["stored"] for each in told.json["devices"]] == [stored] * 6
 
 
 def test_set_bitrate_shows_the_order_and_switches(run: Run) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.halting import halt_after
@@ -16,12 +17,13 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import Command, ControlBit, State
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
-from canopen_proto.procedures.steps import Cancelled, Procedure, sleep
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError, sleep
 from canopen_proto.remote_node import FRESH, RemoteNode
+from canopen_proto.sdo.events import SdoAborted, SdoUploaded
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from tests.core.bus import Fate
 from tests.drives.rig import MILLIDEGREES, Rig
@@ -155,6 +157,40 @@ def test_the_answer_to_the_word_before_makes_no_stop_a_success(name: str, fates:
     if isinstance(rig.outcome(rig.master.run(both(), rig.bus.now)), ProcedureFinished):
         rig.drive.refresh(rig.bus.now)
         assert rig.drive.state is not State.OPERATION_ENABLED if name in STOPS else rig.drive._servo.velocity == 0
+
+
+def outcomes(rig: Rig, request_id: RequestId) -> list[Any]:
+    return [each for each in rig.bus.events if isinstance(each, Outcome) and each.request_id == request_id]
+
+
+@pytest.mark.parametrize("name", [*STOPS, "halt"])
+@pytest.mark.parametrize("other", ["segments", "blocks", "no answer"])
+def test_no_stop_waits_for_the_end_of_another_transfer(name: str, other: str) -> None:
+    stop, word = (drive.halt, HALT) if name == "halt" else STOPS[name]
+    rig = running()
+    rig.node.values[0x1008_00] = "x" * 1_000_000
+    began = rig.bus.now
+    rig.bus._fates = iter([Fate.LOST] if other == "no answer" else [])
+    patience = 60 * SECOND  # a caller's own
+    request_id = rig.remote.sdo.upload(0x1008, 0, began, block=other == "blocks", timeout=patience)
+    rig.bus.run(MILLISECOND)
+    sent = len(rig.bus.sent)
+    assert isinstance(rig.outcome(rig.master.run(stop(rig.axis), rig.bus.now)), ProcedureFinished)
+    start = bytes((0x2B, 0x40, 0x60, 0)) + int(word).to_bytes(2, "little")
+    first = next(time for time, frame in rig.bus.sent[sent:] if frame.data[:6] == start)
+    assert first - began <= 2 * FRESH  # of a halt it may be that the statusword is asked for first, in vain
+    (ended,) = outcomes(rig, request_id)
+    assert (type(ended), ended.origin) == (SdoAborted, AbortOrigin.CANCELLED)
+    assert "given up: a stop of its drive went before it" in str(SdoTransferError(ended, "reading"))
+
+
+def test_a_stop_lets_a_transfer_of_a_few_frames_come_to_its_end() -> None:
+    rig = running()
+    rig.node.values[0x1008_00] = "x" * 200
+    request_id = rig.remote.sdo.upload(0x1008, 0, rig.bus.now)
+    rig.run(drive.quick_stop(rig.axis))
+    (ended,) = outcomes(rig, request_id)
+    assert (type(ended), len(ended.data)) == (SdoUploaded, 200)
 
 
 STRANGERS: Final = ("4008100000000000", "6000000000000000", "0001020304050607", "8008100000000405", "A408100002000000")

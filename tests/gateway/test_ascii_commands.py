@@ -10,6 +10,8 @@ from canopen_gateway.ascii.connection import _ARGUMENTS, HELP, HELP_LSS
 from canopen_proto import NmtState
 from canopen_proto.frame import Frame
 from canopen_proto.gateway import LELY, GatewayCommand
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.simulation.drive.answers import Answer
 from canopen_transports import open_transport
 from tests.gateway.gateway_world import EVERYTHING, TextClient, gateway, text_client
 from tests.master.world import BUS, drives, virtual_time
@@ -166,7 +168,16 @@ async def test_a_value_that_is_too_long_is_refused() -> None:
             client = TextClient(session)
             assert (await client.say("[1] 3 r 0x1008 0 vs")).startswith("[1] ERROR:0x05040005 #")
             assert await client.say("[2] 3 r 0x1000 0 u32") == "[2] 131474"
-            assert service.node(service.nets[0], 3).remote.sdo.max_upload > 16
+
+
+@virtual_time
+async def test_what_a_client_may_read_bounds_no_program_beside_the_gateway() -> None:
+    async with gateway(3, limits=Limits(value_bytes=16)) as (host, service), trio.open_nursery() as nursery:
+        drives(host)[0].answer(0x1018, 4, Answer(delay=300 * MILLISECOND))
+        with service.open_session("one") as session:
+            nursery.start_soon(TextClient(session).say, "[1] 3 r 0x1018 4 u32")
+            await trio.sleep(0.1)
+            assert len(await service.master.node(3).read_bytes(0x1008)) > 16
 
 
 @virtual_time

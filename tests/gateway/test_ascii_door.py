@@ -247,6 +247,24 @@ async def test_a_client_with_a_request_under_way_keeps_its_place() -> None:
 
 
 @with_sockets
+async def test_clients_that_went_away_while_a_node_is_silent_keep_nobody_out() -> None:
+    async with open_door(3, limits=Limits(sessions=3)) as (door, service):
+        waiting = await connect(door)  # this one waits, and keeps its place
+        await waiting.stream.send_all(b"[1] set sdo_timeout 60000\n[2] 99 r 0x1000 0 u32\n")
+        assert await waiting.line() == "[1] OK"
+        for _ in range(5):  # a program that gives up before the gateway does, and tries again
+            client = await connect(door)
+            assert await client.say("[1] set sdo_timeout 60000") == "[1] OK"
+            await client.stream.send_all(b"[2] 98 r 0x1000 0 u32\n")
+            await trio.sleep(0.1)
+            await client.stream.aclose()
+        assert await (await connect(door)).say("[3] _halt") == "[3] OK"
+        assert door.refused == 0
+        assert (await waiting.line()).startswith("[2] ERROR:0x05040000")
+        assert len(service.sessions) == door.clients <= 3
+
+
+@with_sockets
 async def test_a_thousand_connections_leave_the_first_ones_served_and_the_memory_bounded() -> None:
     async with open_door(3, limits=Limits(sessions=4)) as (door, service):
         good = await connect(door)

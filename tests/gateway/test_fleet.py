@@ -55,6 +55,15 @@ async def test_objects_are_read_by_name_and_by_number_with_type_and_unit() -> No
 
 
 @real_time
+async def test_a_fleet_that_was_left_says_so() -> None:
+    async with fleet(3) as (viewer, _):
+        pass
+    for ask in (viewer.read(NODE, "statusword"), viewer.write(NODE, 0x1017, 5), viewer.halt(), viewer.nmt(NODE, NmtCommand.STOP)):
+        with pytest.raises(FleetError, match="cannot be asked"):
+            await ask
+
+
+@real_time
 async def test_an_object_of_all_nodes_is_read_side_by_side_and_a_silent_one_has_its_problem() -> None:
     async with fleet(3, 4) as (viewer, served):
         assert [each.value for each in await viewer.read_all("*/*/*", 0x1001)] == [0, 0]

@@ -13,13 +13,22 @@ import trio
 
 from canopen_data.descriptions import load_description
 from canopen_gateway import FleetError, GatewayService, open_gateway, parse_permissions
+from canopen_gateway.errors import GatewayFullError, LeaseError, NoSuchPlaceError, NotAllowedError
 from canopen_gateway.fleet import Fleet, FleetDoor, FleetPlace, bind_fleet_door, open_fleet
+from canopen_gateway.fleet.bridge import _refusal
+from canopen_gateway.fleet.fleet import _refused
 from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import HALT, ROOT
+from canopen_gateway.web.api import status_of
 from canopen_gateway.web.fleet_subject import ABSENT, FleetSubject
 from canopen_master import DeviceModel, open_master
+from canopen_master.errors import sdo_error
 from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_drives
+from canopen_proto import LocalProtocolError, Network, Outbox, RemoteNode, SdoAborted
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.machine import RequestId
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.procedures import ProcedureError, SdoTransferError
 from tests.gateway.fleet_world import BUS, SITE, Bridge, bridge, free_endpoint, real_time, seen
 from tests.gateway.web_world import Described, WebClients, body_of, page_over
 from tests.master.world import drives
@@ -27,6 +36,31 @@ from tests.master.world import drives
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 NET = f"{SITE}:{BUS}"
 SITE_BUS = f"{SITE}/{BUS}"
+
+
+def aborted(code: int, origin: AbortOrigin, not_confirmed: bool = False) -> SdoAborted:
+    return SdoAborted(3, RequestId(1), 0x1017, 0, code, origin, not_confirmed)
+
+
+def errors_of(abort: SdoAborted) -> list[Exception]:
+    """What becomes of an abort in a procedure, and in the master."""
+    node = RemoteNode(Outbox(), 3, load_description("sample_io.eds").dictionary)
+    return [SdoTransferError(abort, "writing"), sdo_error(Network(), node, "can0", abort, "writing", 0)]
+
+
+ERRORS = [
+    *errors_of(aborted(AbortCode.DEVICE_STATE, AbortOrigin.PEER)),
+    *errors_of(aborted(AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT)),
+    *errors_of(aborted(AbortCode.NO_SDO_CONNECTION, AbortOrigin.LOCAL, not_confirmed=True)),
+    *errors_of(aborted(AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)),
+    ProcedureError("a drive did not do it"),
+    NotAllowedError("nmt", "NMT stop"),
+    GatewayFullError("requests at a time", 32),
+    NoSuchPlaceError("there is no net 9"),
+    LeaseError("somebody else moves the machine"),
+    LocalProtocolError("a value that does not fit"),
+]
+"""What a request may end with, at a bridge as at the web door."""
 
 
 @dataclass
@@ -98,7 +132,8 @@ async def test_objects_are_searched_and_read_with_their_words() -> None:
         assert "it is not enabled" in str(about["drive"]["reasons"])
         missing = await shown.http.get("/api/v1/1/3/objects/2FFF")
         assert (missing.status_code, missing.json()["error"]["abort"]) == (409, "0x06020000")
-        for path in (f"/{NET}x/nodes", "/9/nodes", "/1/99"):
+        assert (await shown.get("/1/3/objects/Manufacturer Device Name"))["path"] == "1008:00"  # as in the web door
+        for path in (f"/{NET}x/nodes", "/9/nodes", "/1/99", "/1/3/objects/no such thing", "/1/3/objects/Ger%C3%A4t"):
             assert (await shown.http.get(f"/api/v1{path}")).status_code == 404
 
 
@@ -131,6 +166,12 @@ async def test_a_value_that_fits_no_object_is_the_fault_of_who_asks_as_in_the_we
         assert (await shown.put("/1/3/objects/1008", value="x"))[0] == 400  # read-only
         assert (await shown.put("/1/3/objects/2FFF", value=1))[0] == 404
         assert (await shown.http.get("/api/v1/1/3/objects/no_such_thing")).status_code == 404
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=repr)
+def test_an_error_has_one_status_over_a_fleet_and_in_the_web_door(error: Exception) -> None:
+    _, said, _ = _refusal(error, FleetPlace(SITE, BUS, 3))
+    assert status_of(_refused(FleetPlace(SITE, BUS, 3), said)) == status_of(error)
 
 
 @real_time

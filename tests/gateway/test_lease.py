@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -826,3 +827,110 @@ async def test_however_little_a_client_waits_the_drive_is_asked_whether_it_has_p
             client = TextClient(session)
             await client.say("[1] set sdo_timeout 1")
             assert (await client.say("[2] 3 w 0x1F51 1 u8 0")).startswith("[2] ERROR:102 #writing 0x1F51:01 of node 3")
+
+
+# ---- a halt, and what waits ----
+
+SLOW = 0x1018, 4
+"""An object that a device takes half a minute to tell, for a client that waits so long."""
+
+
+@asynccontextmanager
+async def slow_read(host: Host, service: GatewayService) -> AsyncIterator[None]:
+    """A client that may only read has asked node 5 for SLOW, and waits for it."""
+    node = host.nodes[0]
+    assert isinstance(node, DriveNode)
+    node.answer(*SLOW, Answer(delay=30_000 * MILLISECOND))
+    with service.open_session("a reader") as session:
+        reader = TextClient(session)
+        assert await reader.say("[1] set sdo_timeout 60000") == "[1] OK"
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(reader.say, "[2] 5 r 0x1018 4 u32")
+            await trio.sleep(0.1)
+            yield
+            nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_a_read_that_takes_long_holds_up_no_halt() -> None:
+    async with running_drive() as (host, service), slow_read(host, service):
+        before = trio.current_time()
+        assert await service.halt() == []
+        assert not is_moving(host)
+        assert trio.current_time() - before < 2
+
+
+@virtual_time
+async def test_a_read_that_takes_long_holds_up_no_halt_of_what_another_program_has_given_power() -> None:
+    async with beside_another_program(*POWER) as (drive, service, client):
+        assert await client.say("[1] 5 w 0x60FF 0 i32 20000") == "[1] OK"
+        assert await moves(drive)
+        async with slow_read(SimpleNamespace(nodes=[drive]), service):  # type: ignore[arg-type]
+            assert await service.halt() == []
+            assert not await moves(drive)
+
+
+@virtual_time
+async def test_a_controlword_that_waited_while_its_drive_was_halted_is_not_sent_behind_the_halt() -> None:
+    async with running_drive() as (host, service), slow_read(host, service):
+        answers: list[str] = []
+
+        async def say(client: TextClient) -> None:
+            answers.append(await client.say("[3] 5 w 0x6040 0 u16 0xF"))
+
+        with service.open_session("late") as session:
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(say, TextClient(session))
+                await trio.sleep(0.1)
+                await service.halt(service.nets[0], 4)  # another node, which is not there
+                assert answers == []
+                assert await service.halt() == []
+            assert "was dropped: somebody has halted it" in answers[0], answers
+            await trio.sleep(1)
+            assert not is_moving(host)
+            assert value(drives(host)[0], 0x6040_00) & 0x100
+            assert await TextClient(session).say("[4] 5 w 0x6040 0 u16 0xF") == "[4] OK"  # whoever says so now means it
+
+
+@pytest.mark.parametrize("seconds", [0.001, 0.1, 0.25])
+@pytest.mark.parametrize("halt", ["_halt", "1 5 _halt"])
+@virtual_time
+async def test_a_halt_ends_a_controlword_that_waits_until_its_drive_watches_the_master(halt: str, seconds: float) -> None:
+    makers = standard_drives(5, settings=DriveSettings(track=Track(-1e9, 1e9)))
+    async with gateway(allow="motion", makers=makers) as (host, service):
+        with service.open_session("hand") as session, service.open_session("other") as other:
+            client, answers = TextClient(session), list[str]()
+            for line in ("0x6060 0 i8 3", "0x60FF 0 i32 20000", "0x6040 0 u16 6", "0x6040 0 u16 7"):
+                assert await client.say(f"[1] 5 w {line}") == "[1] OK"
+
+            async def enable() -> None:
+                answers.append(await client.say("[2] 5 w 0x6040 0 u16 0xF"))
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(enable)
+                await trio.sleep(seconds)
+                assert await TextClient(other).say(f"[3] {halt}") == "[3] OK"
+            await trio.sleep(2)
+            assert answers[0].startswith("[2] ERROR:0x08000000 #a stop of its drive went before it"), answers
+            assert drives(host)[0].drive.state is State.SWITCHED_ON
+            assert not is_moving(host)
+
+
+@virtual_time
+async def test_a_controlword_of_another_client_that_waits_is_not_sent_once_somebody_has_the_lease() -> None:
+    async with machine() as (host, service, _):
+        with service.open_session("hand") as hand, service.open_session("owner") as owner:
+            client, answers = TextClient(hand), list[str]()
+            for word in ("6", "7"):
+                assert await client.say(f"[1] 3 w 0x6040 0 u16 {word}") == "[1] OK"
+
+            async def enable() -> None:
+                answers.append(await client.say("[2] 3 w 0x6040 0 u16 0xF"))
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(enable)
+                await trio.sleep(0.05)
+                service.lease.take(owner)
+            assert answers[0].startswith("[2] ERROR:0x08000000"), answers
+            assert drives(host)[0].drive.state is State.SWITCHED_ON
+            service.lease.leave(owner)

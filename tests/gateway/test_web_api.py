@@ -11,12 +11,17 @@ import trio
 from canopen_gateway import Limits
 from canopen_gateway.traffic.ring import CAPACITY
 from canopen_gateway.web.api import MOST_TRACES, ROUTES
-from canopen_gateway.web.guard import SEND_SECONDS
+from canopen_gateway.web.guard import LEFT_SECONDS, SEND_SECONDS
 from canopen_gateway.web.live import LOG_LENGTH
+from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.simulation.drive.answers import Answer
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.servo import DriveSettings
 from canopen_transports import open_transport
 from tests.gateway.web_world import WebWorld, web
-from tests.master.world import BUS, arm_of, virtual_time
+from tests.master.world import BUS, arm_of, drives, virtual_time
 
 
 @virtual_time
@@ -61,6 +66,70 @@ async def test_objects_are_found_read_and_written() -> None:
         written = await world.http.put(path, content=b"\xc8\x00", headers={"content-type": "application/octet-stream"})
         assert written.status_code == 200
         assert (await world.get("/1/3/objects/1017"))["value"] == 200
+
+
+async def ask_and_leave(world: WebWorld, method: str, path: str, body: bytes = b"") -> list[dict[str, object]]:
+    """A client that closes its end after 0.1 s. Returns what was sent to it."""
+    sent: list[dict[str, object]] = []
+    messages = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def receive() -> dict[str, object]:
+        if not messages:
+            await trio.sleep(0.1)
+            return {"type": "http.disconnect"}
+        return messages.pop()
+
+    await world.raw(method, path, receive, sent.append)
+    return sent
+
+
+@virtual_time
+async def test_a_client_that_half_closes_has_its_answer() -> None:
+    async with web(3) as world:
+        drives(world.host)[0].answer(0x1000, 0, Answer(delay=300 * MILLISECOND))
+        start, _ = await ask_and_leave(world, "GET", "/api/v1/1/3/objects/1000")
+        assert start["status"] == 200
+
+
+@virtual_time
+async def test_what_nobody_waits_for_any_more_is_not_asked_of_a_silent_node() -> None:
+    async with web(3) as world, trio.open_nursery() as nursery:
+        for _ in range(30):  # a program that gives up before the gateway does, and tries again
+            nursery.start_soon(ask_and_leave, world, "GET", "/api/v1/1/99/objects/1000")
+        await trio.sleep(0.2 + LEFT_SECONDS)
+        many = Limits().requests
+        found: list[int] = []
+
+        async def ask() -> None:
+            found.append((await world.http.get("/api/v1/1/3/objects/1000")).status_code)
+
+        async with trio.open_nursery() as clients:
+            for _ in range(many):
+                clients.start_soon(ask)
+        assert found == [200] * many
+
+
+@virtual_time
+async def test_a_write_is_done_though_its_client_is_gone() -> None:
+    async with web(3, allow="write") as world:
+        drives(world.host)[0].answer(0x1017, 0, Answer(delay=300 * MILLISECOND))
+        await ask_and_leave(world, "PUT", "/api/v1/1/3/objects/1017", b'{"value": 700}')
+        assert drives(world.host)[0].values[0x1017_00] == 700
+
+
+class BusyDrive(DriveNode):
+    """A drive that refuses to tell its first PDO."""
+
+    def read(self, index: int, subindex: int, now: int) -> Any:
+        return AbortCode.DEVICE_STATE if index == 0x1400 else super().read(index, subindex, now)
+
+
+@virtual_time
+async def test_a_node_that_refuses_is_not_told_as_silent() -> None:
+    async with web(makers=[lambda out: BusyDrive(out, 4, DriveSettings())]) as world:
+        answer = await world.http.get("/api/v1/1/4/pdos")
+        assert (answer.status_code, answer.json()["error"]["abort"]) == (409, "0x08000022")
+        assert (await world.http.get("/api/v1/1/99/pdos")).status_code == 504
 
 
 @virtual_time

@@ -83,6 +83,26 @@ async def test_each_value_that_a_pdo_brings_arrives_a_hundred_a_second() -> None
 
 
 @virtual_time
+async def test_values_say_which_choice_they_are_of() -> None:
+    """A page that chooses anew gets some of what it chose before, and their numbers mean other objects."""
+    async with web(3, 4) as world:
+        await moving(world)
+        async with world.page() as page:
+            page.say("watch", objects=[PLACE, [1, 3, "1008"]], mark=1)
+            assert (await page.heard("values"))["mark"] == 1
+            page.say("watch", objects=[[1, 3, "1008"]], mark=2)
+            for _ in range(20):
+                message = await page.heard("values")
+                names = {row[2] for row in message["values"] if row[0] == 0}
+                assert message["mark"] == 1 or names == {"Simulated Schunk Powerball joint"}
+            assert message["mark"] == 2
+            page.say("monitor", mark=3)
+            assert (await page.heard("frames"))["mark"] == 3
+            page.say("watch", objects=[PLACE], mark="new")
+            assert "needs a number, mark" in (await page.heard("error"))["text"]
+
+
+@virtual_time
 async def test_what_cannot_be_watched() -> None:
     async with web(3, limits=Limits(subscriptions=4)) as world, world.page() as page:
         for objects in ([[1, 3]], "x", [[9, 3, "1000"]], [[1, 200, "1000"]], [[1, 3, "nothing"]], [PLACE, PLACE, PLACE]):

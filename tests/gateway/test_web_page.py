@@ -151,6 +151,46 @@ class ReadOnlyDoor:
             self._thread.join(30)
 
 
+WHOLE = """
+const done = arguments[arguments.length - 1];
+import("/whole.js").then(({ shown, bodyOf }) => {
+  const told = (text, type, size, hex) => shown({ value: JSON.parse(text), type, size, hex });
+  done([
+    told("9007199254740993", "UNSIGNED64", 8, "01 00 00 00 00 00 20 00"),
+    told("-9223372036854775807", "INTEGER64", 8, "01 00 00 00 00 00 00 80"),
+    told("-5", "INTEGER16", 2, "fb ff"),
+    told("1e300", "REAL64", 8, "9c 75 00 88 3c e4 37 7e"),
+    told('"01 02"', "UNSIGNED64", 2, "01 02"),
+    bodyOf("9007199254740993", "UNSIGNED64"),
+    bodyOf(" 0xFFFFFFFFFFFFFFFF", "UNSIGNED64"),
+    bodyOf("-7", "INTEGER8"),
+    bodyOf("1.5", "REAL32"),
+    bodyOf("7", "VISIBLE_STRING"),
+    bodyOf("halt", "UNSIGNED16"),
+  ]);
+});
+"""
+
+
+@pytest.mark.thorough
+def test_whole_numbers_are_shown_and_written_exactly_whatever_their_size(browser: Any) -> None:
+    with ReadOnlyDoor().running() as machine:
+        visit(browser, machine.door.url)
+        assert browser.execute_async_script(WHOLE) == [
+            "9007199254740993",
+            "-9223372036854775807",
+            "-5",
+            "1e+300",
+            "01 02",
+            '{"value": 9007199254740993}',
+            '{"value": 18446744073709551615}',
+            '{"value": -7}',
+            '{"value":1.5}',
+            '{"value":"7"}',
+            '{"value":"halt"}',
+        ]
+
+
 @pytest.mark.thorough
 def test_a_page_that_may_only_read(browser: Any) -> None:
     """Nodes, objects, emergencies; what a device says is text; a write is refused; and nothing stands in the console."""

@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 
 from canopen_master import Chain, Host, open_master, powerballs, simulate
+from canopen_proto import LocalProtocolError
 from canopen_proto.frame import Frame
 from canopen_proto.network import Network
+from canopen_proto.procedures import read
 from canopen_testing.world_loop import WorldLoop
 from canopen_transports import Received, VirtualTransport, open_transport
 from canopen_transports.loop import TaskStatus
@@ -310,6 +312,22 @@ def test_all_tasks_are_cancelled_at_once_as_at_the_end_of_asyncio_run() -> None:
 
 
 # ---- what it needs ----
+
+
+def test_the_loop_of_another_thread_is_refused_and_disturbs_nothing() -> None:
+    async def test() -> None:
+        async with simulated(3), open_master(BUS) as master:
+            node = master.node(3)
+            for ask in (lambda: node.read("device_type"), lambda: master.run(read(node.remote, "device_type"))):
+
+                def elsewhere(ask: Callable[[], Any] = ask) -> None:
+                    with pytest.raises(LocalProtocolError, match="another event loop, or thread"):
+                        asyncio.run(ask())
+
+                await asyncio.to_thread(elsewhere)
+            assert await node.read("device_type") == 0x20192
+
+    run(test)
 
 
 def test_neither_trio_nor_a_thread_is_needed() -> None:

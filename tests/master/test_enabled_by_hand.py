@@ -15,6 +15,7 @@ from canopen_master import (
     MasterError,
     Node,
     NodeIdTakenError,
+    SdoGivenUpError,
     Watchdog,
     open_master,
     standard_drives,
@@ -265,3 +266,25 @@ async def test_names_in_a_warning_are_fit_to_be_shown(caplog: pytest.LogCaptureF
     messages = [each.getMessage() for each in caplog.records if each.name == LOGGER.name]
     assert messages
     assert all(each.isprintable() for each in messages)
+
+
+@pytest.mark.parametrize("command", [by_name, by_bytes])
+@virtual_time
+async def test_a_stop_ends_a_word_that_enables_and_waits_until_the_drive_watches(command: Command) -> None:
+    async with one_drive() as host, open_master(BUS) as master:
+        node = master.node(NODE)
+        for word in ENABLE[:2]:
+            await command(master, node, word)
+        async with loop.open_nursery() as nursery:
+
+            async def enable() -> None:
+                with pytest.raises(SdoGivenUpError, match="a stop of its drive went before it"):
+                    await command(master, node, ENABLE[2])
+
+            nursery.start_soon(enable)
+            await loop.sleep(0.05)
+            await master.run(drive.halt(master.device(node).axis))
+        await loop.sleep(1)
+        assert drives(host)[0].drive.state is State.SWITCHED_ON
+        await command(master, node, ENABLE[2])  # behind the stop it is a new one
+        assert drives(host)[0].drive.state is State.OPERATION_ENABLED

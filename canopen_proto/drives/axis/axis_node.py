@@ -99,6 +99,9 @@ class FurtherAxis:
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         return self._node.cancel(request_id, now)
 
+    def make_way(self, now: Time) -> None:
+        self._node.make_way(now)
+
     def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
         return self._node.encode(self._key(key), value)
 

@@ -19,7 +19,9 @@ from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, Wait, act, current_time, sleep
+from canopen_proto.procedures.urgent import urgent_request
 from canopen_proto.sdo.contention import SPREAD
+from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
 SYNC_ALIVE: Final = 500 * MILLISECOND
@@ -45,7 +47,7 @@ def insist(axis: Axis, controlword: int) -> Procedure[None]:
 
     A write that is not confirmed is otherwise never repeated. A word that stops may be: it does no more the second time. Another
     SDO client that disturbs it may keep the drive from hearing it, too; so its exchange gets SPREAD to end before the next try.
-    By SDO the word goes before all queued requests of the node.
+    By SDO the word goes before all queued requests of the node, and ends a transfer that keeps it waiting (`urgent_request`).
     """
     for left in reversed(range(TRIES)):
         try:
@@ -66,8 +68,8 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     A synchronous RPDO leaves behind a SYNC, and the drive takes it at the next SYNC (CiA 301 v4.2.0, 7.5.2.35). The command waits
     for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
     SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
-    then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: as in
-    `procedures.objects.write`. Raises SdoTransferError, DriveLostError.
+    then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: an SDO
+    write goes as an `urgent_request`. Raises SdoTransferError, DriveLostError.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
@@ -99,7 +101,12 @@ def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedur
         # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
-    yield from write(node, mux, value, urgent=urgent)
+    if not urgent:
+        yield from write(node, mux, value)
+        return
+    outcome = yield from urgent_request(node, lambda now: node.write(mux, value, now, urgent=True))
+    if isinstance(outcome, SdoAborted):
+        raise SdoTransferError(outcome, "writing")
 
 
 def put(axis: Axis, mux: Mux, value: int, now: Time) -> None:

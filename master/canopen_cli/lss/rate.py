@@ -195,21 +195,29 @@ async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
 def _tell_json(
     settings: Settings, screen: Screen, change: RateChange, addresses: Sequence[LssAddress], failed: Sequence[Refusal] = ()
 ) -> None:
-    """With --json print what was done. failed: devices that did not store the new bit rate."""
+    """With --json print what was done. failed: devices that did not confirm that they stored the new bit rate; of one that said
+    nothing nobody knows."""
     if not settings.json:
         return
-    remarks = {each.address: each.remark for each in failed}
+    refusals = {each.address: each for each in failed}
     is_wanted = change.store and not settings.dry_run
     devices = [
         {
             **identity_json(address),
-            "stored": address not in remarks if is_wanted else None,
-            "remark": remarks.get(address),
+            "stored": _has_stored(refusals.get(address)) if is_wanted else None,
+            "remark": refusals[address].remark if address in refusals else None,
         }
         for address in addresses
     ]
     rates = {"before": change.old * 1000, "bitrate": change.new * 1000}
     screen.json({"bus": change.locators[1], **rates, "dry_run": settings.dry_run, "devices": devices})
+
+
+def _has_stored(refusal: Refusal | None) -> bool | None:
+    """Return whether a device has stored; None where only its answer is missing. refusal: None if it has confirmed it."""
+    if refusal is None:
+        return True
+    return None if refusal.is_silent else False
 
 
 def _show(screen: Screen, change: RateChange, addresses: Sequence[LssAddress]) -> None:

@@ -19,7 +19,7 @@ from canopen_gateway.errors import GatewayError, GatewayFullError, LeaseError, N
 from canopen_gateway.layer_settings import INQUIRIES, LayerSettings, window_of
 from canopen_gateway.nmt_words import NMT_OF
 from canopen_gateway.service import GatewaySession, HeardOnNet
-from canopen_master import MasterError, SdoError, SdoNotConfirmedError
+from canopen_master import MasterError, SdoError, SdoGivenUpError, SdoNotConfirmedError
 from canopen_proto import LocalProtocolError, ProcedureError
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import bit_length_of
@@ -150,7 +150,8 @@ class AsciiConnection:
         except SdoNotConfirmedError as error:
             return GatewayAnswer(sequence, abort_code=error.abort_code, remark="not confirmed: it may have been executed")
         except SdoError as error:
-            return GatewayAnswer(sequence, abort_code=error.abort_code)
+            remark = error.cause if isinstance(error, SdoGivenUpError) else ""
+            return GatewayAnswer(sequence, abort_code=error.abort_code, remark=remark)
         except LssError as error:
             return GatewayAnswer(sequence, code=GatewayCode.TIME_OUT, remark=str(error))
         except (GatewayError, MasterError, ProcedureError, LocalProtocolError) as error:

@@ -10,8 +10,8 @@
 - A line that is too long is answered by 600, and ends the connection. So does a request of HTTP: a page from anywhere may let the
   browser of this computer send what it likes to a port of this computer, and the lines of its body would be commands.
 - When all places are taken, the client that has been silent longest makes room for a new one: after SILENT_FIRST seconds if it
-  has never said anything, after SILENT seconds else. One that waits for events, or for an answer, keeps its place. If nobody
-  makes room, the new one is told 600.
+  has never said anything, after SILENT seconds else. One that waits for events, or for an answer, keeps its place, unless it has
+  closed its end meanwhile. If nobody makes room, the new one is told 600.
 - Whatever happens to a connection, the others are served on. If the door itself fails, it is closed, and says why (`failure`);
   the master goes on.
 """
@@ -79,10 +79,25 @@ class _Client:
                 await trio.lowlevel.checkpoint_if_cancelled()
 
     def silence(self, now: float) -> float:
-        """Return by how much it has been silent longer than it may, in seconds; below 0: it keeps its place."""
+        """Return by how much it has been silent longer than it may, in seconds; below 0: it keeps its place. One that waits
+        for an answer, and has closed its end, does not: it may still take the answer, but most such clients are gone."""
+        if self.is_busy and self._has_ended():
+            return float("inf")
         if self.is_busy or self.waits_for_events:
             return -1.0
         return now - self.last_heard - (SILENT if self.has_spoken else SILENT_FIRST)
+
+    def _has_ended(self) -> bool:
+        """Return whether the client has closed its end, or is gone: nobody reads its socket while a request is under way."""
+        sock = self.stream.socket
+        try:
+            with socket.fromfd(sock.fileno(), sock.family, sock.type) as peeked:
+                peeked.setblocking(False)
+                return not peeked.recv(1, socket.MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
 
 
 class AsciiDoor:

@@ -63,7 +63,7 @@ from canopen_proto.machine import SECOND
 from canopen_proto.manager.scan import NodeFound, Scanner, scan
 from canopen_proto.multiplexer import Mux, index_of, subindex_of
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures import ProcedureError
+from canopen_proto.procedures import ProcedureError, SdoTransferError
 
 if TYPE_CHECKING:
     import zenoh
@@ -617,6 +617,8 @@ def _refusal(error: Exception, place: FleetPlace | None = None) -> Answer:
         said["code"] = BRIDGE_REFUSED
     if isinstance(error, SdoError):
         said |= {"abort": error.abort_code, "not_confirmed": isinstance(error, SdoNotConfirmedError)}
+    elif isinstance(error, SdoTransferError):
+        said |= {"abort": error.abort_code, "not_confirmed": error.not_confirmed}
     return None, _json(said), None
 
 

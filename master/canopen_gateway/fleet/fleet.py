@@ -317,15 +317,18 @@ class Fleet:
                 self._token.run_sync_soon(over.set)
 
         handler: Any = zenoh.handlers.Callback(replies.append, ended)
-        self._zenoh.get(
-            key_of(place, *rest),
-            handler,
-            payload=payload or None,
-            attachment=secrets.token_bytes(keys.MARK_BYTES),
-            encoding=encoding or None,
-            timeout=self._patience,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        )
+        try:
+            self._zenoh.get(
+                key_of(place, *rest),
+                handler,
+                payload=payload or None,
+                attachment=secrets.token_bytes(keys.MARK_BYTES),
+                encoding=encoding or None,
+                timeout=self._patience,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise FleetError(f"{place} cannot be asked", seen=str(error)) from error  # that the session is closed
         await over.wait()
         answers, refused = [], None
         for reply in replies:

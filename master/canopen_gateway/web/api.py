@@ -53,8 +53,9 @@ from canopen_master import BusError, MasterClosedError, MasterError, SdoTimeoutE
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
 from canopen_master.plain_text import clean, json_text
 from canopen_proto import LocalProtocolError
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary.model import ConstantNotFoundError, NotInDictionaryError
-from canopen_proto.procedures import ProcedureError
+from canopen_proto.procedures import ProcedureError, SdoTransferError, StepTimeoutError
 
 API: Final = "/api/v1"
 OCTETS: Final = "application/octet-stream"
@@ -72,13 +73,12 @@ _STATUS: Final[Sequence[tuple[type[Exception], int]]] = (
     (NoSuchPlaceError, 404),
     (NotOverFleetError, 501),
     (FleetError, 504),
-    (SdoTimeoutError, 504),
     (NodeIsNoDriveError, 404),
     (UnknownChainError, 404),
     (BusError, 503),
     (MasterClosedError, 503),
     (MasterError, 409),
-    (ProcedureError, 504),
+    (ProcedureError, 409),
     (ConstantNotFoundError, 400),  # the value, and not the path
     (NotInDictionaryError, 404),
     (LocalProtocolError, 400),
@@ -91,9 +91,19 @@ _OF_BRIDGES: Final = {BRIDGE_REFUSED: 400, NOT_ALLOWED: 403, GATEWAY_FULL: 503, 
 
 def status_of(error: Exception) -> int:
     """Return the HTTP status of an error; 500 for one that nobody foresaw."""
+    if _is_silence(error):
+        return 504
     if isinstance(error, BridgeRefusedError):
-        return 504 if error.is_silence else _OF_BRIDGES.get(error.bridge_code, 409)
+        return _OF_BRIDGES.get(error.bridge_code, 409)
     return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
+
+
+def _is_silence(error: Exception) -> bool:
+    """Return whether the device said nothing, or nobody knows what it did. A bridge, and a procedure, tell that by the abort
+    code."""
+    if isinstance(error, BridgeRefusedError | SdoTransferError):
+        return error.abort_code == AbortCode.TIMED_OUT or error.not_confirmed
+    return isinstance(error, SdoTimeoutError | StepTimeoutError)
 
 
 class WebApi:

@@ -28,6 +28,7 @@ from canopen_gateway.fleet import (
     PlaceAppeared,
     PlaceGone,
 )
+from canopen_gateway.fleet.keys import OBJECT
 from canopen_gateway.guard import Guard, Permission
 from canopen_gateway.limits import Limits, RequestsUnderWay
 from canopen_gateway.places import number_of_object
@@ -196,7 +197,10 @@ class FleetSubject(WebSubject):
 
     async def read(self, net: str, node_id: int, text: str) -> tuple[bytes, Plain]:
         """See WebSubject."""
-        value = await self._read(self.picture.place(net, node_id), text)
+        key = text.replace(" ", "_")  # to a dictionary both are one name, and a key of a fleet has no blanks
+        if not OBJECT.match(key):
+            raise NoSuchPlaceError(f"{net}/{node_id} has no object {text[:60]!r}", seen="no key of a fleet can name it")
+        value = await self._read(self.picture.place(net, node_id), key)
         path = value.object if _PATH.match(value.object) else text
         return value.data, {
             "path": path,

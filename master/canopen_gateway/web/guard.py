@@ -12,7 +12,8 @@ them out, each for a reason of its own:
     size          a body has MAX_BODY bytes at most; else 413, and the rest is not read
 
 Besides, one client cannot hold the door open: a body comes within BODY_SECONDS (408), an answer is taken within SEND_SECONDS (the
-connection ends), and MOST_AT_ONCE requests are served at a time (503).
+connection ends), and MOST_AT_ONCE requests are served at a time (503). What a client that is gone has asked for, and
+that changes nothing, is given up after LEFT_SECONDS: the next one would wait behind it.
 
 A WebSocket that shows only the cookie needs an Origin: a browser sends one always.
 
@@ -31,6 +32,7 @@ from urllib.parse import parse_qs
 import trio
 
 from canopen_master.plain_text import json_text
+from canopen_transports.loop.beside import beside
 
 Scope: TypeAlias = MutableMapping[str, Any]
 AsgiMessage: TypeAlias = MutableMapping[str, Any]
@@ -44,6 +46,8 @@ BODY_SECONDS: Final = 10.0
 """Seconds that a body may take to come."""
 SEND_SECONDS: Final = 30.0
 """Seconds that a client may take for a piece of an answer."""
+LEFT_SECONDS: Final = 1.0
+"""Seconds for which an answer is still made for a client that has closed its end: some do so, and take it all the same."""
 MOST_AT_ONCE: Final = 64
 """Requests that are served at a time, event streams too. A browser has six of them at most."""
 SAFE_METHODS: Final = frozenset({"GET", "HEAD"})
@@ -187,9 +191,13 @@ class WebGuard:
             await _refuse(send, scope["path"], TOO_SLOW, [CLOSE])
             return
         whole: list[AsgiMessage] = [{"type": "http.request", "body": body, "more_body": False}]
+        left = trio.Event()
 
         async def replayed() -> AsgiMessage:
-            return whole.pop() if whole else await receive()
+            if whole:
+                return whole.pop()
+            await left.wait()
+            return {"type": "http.disconnect"}
 
         async def with_headers(message: AsgiMessage) -> None:
             if message["type"] == "http.response.start":
@@ -197,7 +205,18 @@ class WebGuard:
             with trio.fail_after(SEND_SECONDS):
                 await send(message)
 
-        await self._app(scope, replayed, with_headers)
+        async with beside(trio.open_nursery()) as nursery:
+
+            async def watch() -> None:
+                if (await receive())["type"] == "http.disconnect":  # nothing else can come behind the body
+                    left.set()
+                    if scope["method"] in SAFE_METHODS:  # what changes something, or halts, is done all the same
+                        await trio.sleep(LEFT_SECONDS)
+                        nursery.cancel_scope.cancel()
+
+            if scope["path"].startswith(GUARDED):
+                nursery.start_soon(watch)
+            await self._app(scope, replayed, with_headers)
 
     def _bears_token(self, headers: Mapping[str, list[str]]) -> bool:
         given = headers.get("authorization", [])

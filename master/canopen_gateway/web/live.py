@@ -223,18 +223,19 @@ class LiveClient:
                 nursery.start_soon(self._halt, message)
             case "watch":
                 objects = [self._watched(each) for each in message.get("objects", ())]
+                period = _number(message.get("period", 0.1))
+                marked = _marked(message)
                 self._watch_scope.cancel()
                 self._watch_scope = trio.CancelScope()
-                period = _number(message.get("period", 0.1))
-                nursery.start_soon(self._watch, self._watch_scope, objects, period)
+                nursery.start_soon(self._watch, self._watch_scope, objects, period, marked)
             case "monitor":
                 self._monitor_scope.cancel()
                 if message.get("on", True):
                     self._subject.machine("a monitor of frames")
                     net = self._subject.find_net(str(message.get("net", 1)))
-                    wish = FrameWish.of(_list(message, "nodes", int), _list(message, "services", str))
+                    wish, marked = FrameWish.of(_list(message, "nodes", int), _list(message, "services", str)), _marked(message)
                     self._monitor_scope = trio.CancelScope()
-                    nursery.start_soon(self._monitor, self._monitor_scope, net, wish)
+                    nursery.start_soon(self._monitor, self._monitor_scope, net, wish, marked)
             case kind:
                 self._move(kind, message)
 
@@ -278,8 +279,9 @@ class LiveClient:
                     session, _sequence(message), str(message.get("chain")), targets, speed=_number(message.get("speed", 0.1))
                 )
 
-    async def _monitor(self, scope: trio.CancelScope, net: str, wish: FrameWish) -> None:
-        """Send the frames of a net until something else is looked at. Those that this client has no room for are counted."""
+    async def _monitor(self, scope: trio.CancelScope, net: str, wish: FrameWish, marked: Plain) -> None:
+        """Send the frames of a net until something else is looked at. Those that this client has no room for are counted. marked:
+        as of `_watch`."""
         traffic = self._subject.machine("a monitor of frames").traffic(net)
         with scope, traffic.watch(wish) as feed:
             told = (-1, 0)
@@ -289,7 +291,7 @@ class LiveClient:
                     told = feed.seen, feed.left_out
                     counts = {"seen": feed.seen, "fitting": feed.fitting, "left_out": feed.left_out}
                     lost = traffic.lost + traffic.dropped
-                    self.put(json_text({"k": "frames", "net": net, "rows": rows, **counts, "lost": lost}))
+                    self.put(json_text({"k": "frames", "net": net, "rows": rows, **counts, "lost": lost, **marked}))
                 if traffic.failure is not None:
                     text = "what passes is not understood any more: the gateway's log says why"
                     self.put(json_text({"k": "error", "about": "monitor", "code": "", "text": text, "details": []}))
@@ -310,8 +312,9 @@ class LiveClient:
             raise ValueError("an object to watch is [net, node, object]")
         return self._subject.place_of(self._subject.find_net(str(place[0])), find_node(place[1]), str(place[2]))
 
-    async def _watch(self, scope: trio.CancelScope, objects: Sequence[WatchedObject], period: float) -> None:
-        """Send values until something else is watched. A value that a PDO brings is sent each time that it comes."""
+    async def _watch(self, scope: trio.CancelScope, objects: Sequence[WatchedObject], period: float, marked: Plain) -> None:
+        """Send values until something else is watched. A value that a PDO brings is sent each time that it comes. marked: stands
+        in each message, since some of the choice before may be on their way still, and their numbers mean other objects."""
         if not objects:
             return
         with scope:
@@ -321,7 +324,7 @@ class LiveClient:
                     while True:
                         rows = take()
                         if rows:
-                            self.put(json_text({"k": "values", "values": rows}))
+                            self.put(json_text({"k": "values", "values": rows, **marked}))
                         await trio.sleep(FLUSH)
             except* (GatewayError, *EXPECTED) as failed:
                 self.put(json_text({"k": "error", "about": "watch", **error_data(first_of(failed))}))
@@ -337,10 +340,15 @@ def _list(message: dict[str, Any], name: str, kind: type[T]) -> list[T]:
     return found
 
 
-def _sequence(message: dict[str, Any]) -> int:
-    number = message.get("n")
+def _marked(message: dict[str, Any]) -> Plain:
+    """Return the mark of a choice, as it stands in what is sent for it; nothing if it has none."""
+    return {"mark": _sequence(message, "mark")} if "mark" in message else {}
+
+
+def _sequence(message: dict[str, Any], name: str = "n") -> int:
+    number = message.get(name)
     if not isinstance(number, int) or isinstance(number, bool):
-        raise ValueError("the message needs a number, n, above all before")
+        raise ValueError(f"the message needs a number, {name}, above all before")
     return number
 
 

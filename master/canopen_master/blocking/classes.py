@@ -175,12 +175,14 @@ class BlockingNode(NodeTwin):
         *,
         block: Block = False,
         patience: float | None = None,
+        most: int | None = None,
         timeout: float | None = None,
     ) -> bytes:
         """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default. patience:
-        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least.
+        seconds for each answer of the node, in place of the master's SDO time-out; 1 ms at least. most: bytes that are taken; a
+        longer value is refused with 0x05040005; None: 16 MiB.
         """
-        return self._hub.run(timeout, self._inner.read_bytes, key, subindex, block=block, patience=patience)
+        return self._hub.run(timeout, self._inner.read_bytes, key, subindex, block=block, patience=patience, most=most)
 
     def write_bytes(
         self,
@@ -306,6 +308,12 @@ class BlockingNode(NodeTwin):
     def wait_for_heartbeat(self, timeout: float) -> NmtState:
         """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilentError after `timeout` seconds."""
         return self._hub.run(None, self._inner.wait_for_heartbeat, timeout)
+
+    def drop_commands(self) -> None:
+        """Let no controlword leave that waits: for its drive to watch over this master, or behind another transfer. Its write
+        ends with SdoGivenUpError. Any stop does this for its own drive; this is for a drive that seems to need none.
+        """
+        self._hub.do(self._inner.drop_commands)
 
     def is_held(self, axis: int = 0) -> bool:
         """Return whether the drive on an axis of this node watches the heartbeat of this master; see watchdog.py."""

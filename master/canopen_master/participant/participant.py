@@ -81,6 +81,7 @@ class Participant:
         self._own_buses = tuple(self.buses.values())
         self._pump = Pump(self._own_buses, self._dispatcher.dispatch, self.on_failure, before_timeouts=self._before_timeouts)
         self._tell_networks()
+        self._token = self._loop.token()
         self.runner = self._own_buses[0].network.runner
         self._root = self._own_buses[0].network.out.root
         for alias, name in (aliases or {}).items():
@@ -128,6 +129,15 @@ class Participant:
             raise self.failure
         if self.is_closed:
             raise MasterClosedError
+
+    def _check_loop(self) -> None:
+        """Raise LocalProtocolError in another run of a loop than this master's, mostly one of another thread: nobody would wake
+        the task when its answer comes."""
+        if current_loop().token() is not self._token:
+            raise LocalProtocolError(
+                "this master belongs to another event loop, or thread, than the one that runs here; "
+                "hand over to its own, or use canopen_master.blocking, which any thread may call"
+            )
 
     # ---- network management and SYNC ----
 
@@ -270,6 +280,7 @@ class Participant:
         """Give a command with an outcome. The caller waits for the outcome, or takes the request back. submit: gives the command
         at a time, and returns its RequestId."""
         self.check_open()
+        self._check_loop()
         return OpenRequest(self._pump, self._dispatcher, bus, remote, submit)
 
     @protected
@@ -280,6 +291,7 @@ class Participant:
         longer for a drive that still slows down). Raises the procedure's own error: a ProcedureError.
         """
         self.check_open()
+        self._check_loop()
         place = ProcedureSlot(self)
         place.begin(procedure)
         result: T = await place.outcome()

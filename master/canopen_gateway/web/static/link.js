@@ -11,12 +11,12 @@ export class DoorError extends Error {
   }
 }
 
-/** Ask the door, and return its answer. body: is sent as JSON. signal: of an AbortController. */
+/** Ask the door, and return its answer. body: is sent as JSON; a text is JSON already. signal: of an AbortController. */
 export async function ask(method, path, body = undefined, signal = undefined) {
   const options = { method, signal, headers: { "x-canopen": "1" } };
   if (body !== undefined) {
     options.headers["content-type"] = "application/json";
-    options.body = JSON.stringify(body);
+    options.body = typeof body === "string" ? body : JSON.stringify(body);
   }
   const answer = await fetch(`/api/v1${path}`, options);
   const text = await answer.text();

@@ -23,6 +23,7 @@ export class Monitor {
     this.live = live;
     this.isOn = false;
     this.known = "";
+    this.mark = 0; // of the present choice
     this.rows = [];
     $("monitor-on").addEventListener("click", () => this.turn(!this.isOn));
     for (const id of ["monitor-net", "monitor-nodes", "monitor-service"]) $(id).addEventListener("change", () => this.begin());
@@ -63,11 +64,12 @@ export class Monitor {
       return;
     }
     const service = $("monitor-service").value;
-    this.live.send("monitor", { net: Number($("monitor-net").value || 1), nodes: nodesOf($("monitor-nodes").value) ?? [], services: service ? [service] : [] });
+    this.mark += 1;
+    this.live.send("monitor", { mark: this.mark, net: Number($("monitor-net").value || 1), nodes: nodesOf($("monitor-nodes").value) ?? [], services: service ? [service] : [] });
   }
 
   frames(message) {
-    if (!this.isOn) return;
+    if (!this.isOn || message.mark !== this.mark) return; // of the choice before, perhaps of another net
     const rows = message.rows.map(([kind, seconds, frame, service, node, text]) => {
       const mark = kind === "finding" ? "!" : kind === "sum" ? "=" : "";
       const what = kind === "finding" ? badge("finding") : make("span", {}, service);

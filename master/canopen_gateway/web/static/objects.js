@@ -2,6 +2,7 @@
 
 import { $, breakable, isOfFleet, make, nodeText, say } from "./dom.js";
 import { ask } from "./link.js";
+import { bodyOf, shown } from "./whole.js";
 
 const SHOWN = 60; // rows at a time
 
@@ -93,8 +94,7 @@ export class ObjectBrowser {
     try {
       const found = await ask("GET", path);
       const names = found.constants.length ? ` (${found.constants.join(", ")})` : "";
-      const text = found.value === null ? found.hex : `${found.value}`;
-      say(cell, `${text}${found.unit ? ` ${found.unit}` : ""}${names}`);
+      say(cell, `${shown(found)}${found.unit ? ` ${found.unit}` : ""}${names}`);
     } catch (error) {
       say(cell, error.short ?? error.message);
       cell.title = (error.details ?? []).join("\n");
@@ -102,9 +102,8 @@ export class ObjectBrowser {
   }
 
   async write(path, text, type, cell) {
-    const isNumber = /^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|0[xX][0-9a-fA-F]+)$/.test(text.trim()) && !/STRING|DOMAIN/.test(type);
     try {
-      await ask("PUT", path, { value: isNumber ? Number(text) : text });
+      await ask("PUT", path, bodyOf(text, type));
       await this.read(path, cell);
     } catch (error) {
       say(cell, error.message);

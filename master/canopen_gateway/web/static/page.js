@@ -17,6 +17,7 @@ const KINDS = { emergency: "emergency", lost: "lost" };
 
 const plot = new Plot($("plot"));
 let watched = []; // { net, node, path, name, curve, value }
+let mark = 0; // of the present choice of values
 let lastHeard = 0;
 let isLost = true;
 let allow = [];
@@ -59,6 +60,7 @@ const live = new Live({
   commission(message) { commissioning.said(message); },
   frames(message) { monitor.frames(message); },
   values(message) {
+    if (message.mark !== mark) return; // of what was watched before: its numbers mean other objects
     samples += message.values.length;
     for (const [place, time, value, problem, late] of message.values) {
       const entry = watched[place];
@@ -284,7 +286,8 @@ function forget(entry) {
 }
 
 function sendWatched() {
-  live.send("watch", { objects: watched.map((each) => [each.net, each.node, each.path]), period: 0.1 });
+  mark += 1;
+  live.send("watch", { objects: watched.map((each) => [each.net, each.node, each.path]), period: 0.1, mark });
   $("legend").replaceChildren(...watched.map(legendEntry));
   show($("plot-empty"), watched.length === 0);
   show($("plot-box"), watched.length > 0);
