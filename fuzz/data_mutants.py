@@ -12,6 +12,7 @@ from fuzz.mutant import Mutant
 
 NUMBERS: Final = ("tests/data/test_eds_numbers.py",)
 INI: Final = ("tests/data/test_eds_ini.py",)
+UNUSED: Final = ("tests/data/test_eds_unused.py",)
 MODULES: Final = ("tests/data/test_eds_modules.py",)
 ENCODINGS: Final = ("tests/data/test_eds_encodings.py",)
 BACKUP: Final = ("tests/data/test_backup_file.py",)
@@ -48,6 +49,46 @@ DATA_MUTANTS: Final = tuple(
             "if low < 0 and high < number <= size:",
             "256 in eight bits is read as 0",
             NUMBERS,
+        ),
+        (
+            "infinity_of_a_number",
+            _NUMBERS,
+            "if math.isinf(value) and",
+            "if False and",
+            "1e400 in a file becomes an infinite set-point without a word",
+            NUMBERS,
+        ),
+        (
+            "lost_setting_unnoticed",
+            "canopen_data/eds/variables.py",
+            'LOST_SETTING if lost else "value"',
+            '"value"',
+            "a device is set up without a setting of its file, and nobody is told",
+            UNUSED,
+        ),
+        (
+            "entry_of_no_sub_object_unnoticed",
+            "canopen_data/eds/compact.py",
+            "elif not 1 <= subindex <= count:",
+            "elif False:",
+            "a value in [2000Value] for a subindex that is not there is lost without a word",
+            UNUSED,
+        ),
+        (
+            "restored_without_a_setting",
+            "canopen_cli/node/restore.py",
+            "if description.lost_settings and not forced:",
+            "if False:",
+            "a device is restored without a setting that the file has, with status 0",
+            ("tests/cli/test_backup.py",),
+        ),
+        (
+            "booted_without_a_setting",
+            "canopen_master/machine_file/boot_entries.py",
+            "if description.lost_settings:",
+            "if False:",
+            "a node is started without a setting that its file has",
+            ("tests/master/test_boot_entries.py",),
         ),
         (
             "comment_loses_the_value",

@@ -16,13 +16,17 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, Protocol
 
-from canopen_data.findings import Finding
+from canopen_data.findings import LOST_SETTING, Finding, Severity
 from canopen_proto.dictionary.model import ObjectDictionary
 
 __all__ = ["DeviceDescription", "DeviceInfo", "FileInfo", "FileKind"]
 
 BIT_RATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 """kbit/s: the bit rates that an EDS can name (CiA 306-1, DeviceInfo)."""
+
+
+_LOSSES: Final = (LOST_SETTING, "too-long", "too-many")
+"""The two others: a part of the file was not read, or its findings are not all listed."""
 
 
 class FileKind(StrEnum):
@@ -164,6 +168,12 @@ class DeviceDescription:
     def node_id(self) -> int | None:
         """The node-ID of the device, None if the file names none."""
         return None if self.commissioning is None else self.commissioning.node_id
+
+    @property
+    def lost_settings(self) -> tuple[Finding, ...]:
+        """The errors by which a configured value of the file is missing here. Who writes the settings to a device would leave it
+        with another value, so he has to know."""
+        return tuple(each for each in self.findings if each.severity is Severity.ERROR and each.code in _LOSSES)
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
         """Return line and column of an object in the file; see Document.place_of. (0, 0) if there is no file. field: its name

@@ -14,6 +14,8 @@ __all__ = ["DictionaryError", "Finding", "Severity"]
 
 MAX_SHOWN: Final = 10
 """Errors listed in the text of one exception. The rest is counted: a binary file read by mistake has thousands."""
+LOST_SETTING: Final = "setting"
+"""The code of an error about a configured value that the file has and the description has not."""
 MAX_TOLD: Final = 6
 """Places listed in the text of one finding."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from canopen_data import MAX_FILE_SIZE
+from canopen_data import text_of
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import UnusableFileError, read_file, refuse_without_objects
 from canopen_data.reading import read_description
@@ -46,12 +46,8 @@ def open_description(path: str, encoding: str = "", connected: tuple[int, ...] =
 
 
 def read_text(path: Path) -> str:
-    """Return a text of at most MAX_FILE_SIZE bytes. Raises UnusableFileError."""
-    try:
-        if path.stat().st_size > MAX_FILE_SIZE:
-            raise UnusableFileError(f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise UnusableFileError(f"{path} is not UTF-8 text", seen=str(error)) from None
-    except OSError as error:
-        raise UnusableFileError(f"cannot read {path}: {error.strerror or error}", tries=("check the path",)) from None
+    """Return a text of at most MAX_FILE_SIZE bytes. Raises DataError."""
+    text = text_of(path, str(path))
+    if text is None:
+        raise UnusableFileError(f"there is no file {str(path)!r}", tries=("check the path",))
+    return text

@@ -446,3 +446,18 @@ def test_a_backup_that_another_client_disturbed_is_restored_only_by_force(run: R
     assert world.writes == []
     assert run("restore", *NODE, "full.dcf", "--yes", "--force").status == 0
     assert world.writes != []
+
+
+def test_a_file_with_a_setting_that_cannot_be_read_is_restored_only_by_force(run: Run, world: Lasting) -> None:
+    """The device would be left with another value, and nobody would know."""
+    change(run, world)
+    text = Path("before.dcf").read_text()
+    Path("lost.dcf").write_text(text.replace("ParameterValue=1.5", "ParameterValue=1,5"))
+    refused = run("restore", *NODE, "lost.dcf", "--yes")
+    assert refused.status == ExitCode.BAD_FILE
+    assert "in [2012]: ParameterValue '1,5' is no REAL32; left out" in refused.err
+    assert "--force, to write the others" in refused.err
+    assert world.writes == []
+    assert run("restore", *NODE, "lost.dcf", "--yes", "--force").status == 0
+    assert (GAIN, 0) not in world.writes
+    assert world.writes != []

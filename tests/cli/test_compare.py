@@ -97,6 +97,16 @@ def test_what_cannot_be_read_is_no_difference_but_told(run: Run, world: Lasting)
     assert "0 differences" in outcome.err
 
 
+def test_a_setting_of_a_file_that_cannot_be_read_is_told_and_makes_a_comparison_partial(run: Run, world: Lasting) -> None:
+    assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
+    Path("lost.dcf").write_text(Path("before.dcf").read_text().replace("ParameterValue=1.5", "ParameterValue=1,5"))
+    for left in (("5", "-b", "demo"), ("lost.dcf",)):
+        outcome = run("compare", *left, "lost.dcf")
+        assert outcome.status == ExitCode.PARTIAL
+        assert "not compared: lost.dcf:" in outcome.err
+        assert "0 differences" in outcome.err
+
+
 def test_files_in_which_nothing_depends_on_the_node_id(run: Run, world: Lasting) -> None:
     objects = device().objects
     Path("plain.eds").write_text(write_eds(describe(ObjectDictionary(objects[index] for index in (0x1000, LIMITED)))))

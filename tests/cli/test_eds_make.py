@@ -225,6 +225,15 @@ def test_what_a_concise_dcf_leaves_out_is_told(run: Run) -> None:
     assert "nothing is configured" in talk
 
 
+def test_no_concise_dcf_is_made_without_a_setting_that_cannot_be_read(run: Run) -> None:
+    text = write_eds(field(0x2000, 0, configured=9)(clean(FileKind.DCF)))
+    Path("lost.dcf").write_text(text.replace("ParameterValue=9", "ParameterValue=99999"))
+    outcome = run("eds", "to-cdcf", "lost.dcf", "-o", "lost.cdcf")
+    assert outcome.status == 6
+    assert "ParameterValue '99999' is outside 0..65535 (UNSIGNED16)" in outcome.err
+    assert not Path("lost.cdcf").exists()
+
+
 # ---- stubs ----
 
 

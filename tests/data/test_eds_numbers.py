@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_data.eds.ini import quoted
 from canopen_data.eds.numbers import read_number, read_value
 from canopen_proto.datatypes import EPOCH, DataType, Value, encode, range_of
 
@@ -147,6 +148,9 @@ def test_values_with_a_remark(text: str, data_type: DataType, value: Value, rema
         ("nan", DataType.REAL64, "is no REAL64"),
         ("0x7FC00000", DataType.REAL32, "is not a number (NaN)"),
         ("1e39", DataType.REAL32, "is too large for REAL32"),
+        ("1e400", DataType.REAL32, "is too large for REAL32"),
+        ("-1.e400", DataType.REAL64, "is too large for REAL64"),
+        ("9" * 320, DataType.REAL64, "is too large for REAL64"),
         ("0 1", DataType.OCTET_STRING, "is no OCTET_STRING in pairs of hexadecimal digits"),
         ("file.bin", DataType.DOMAIN, "is no DOMAIN in pairs of hexadecimal digits"),
         ("12:00", DataType.TIME_OF_DAY, "is no TIME_OF_DAY"),
@@ -155,7 +159,7 @@ def test_values_with_a_remark(text: str, data_type: DataType, value: Value, rema
     ],
 )
 def test_values_that_are_lost(text: str, data_type: DataType, reason: str) -> None:
-    assert read_value(text, data_type) == (None, False, f"{text!r} {reason}; left out", True)
+    assert read_value(text, data_type) == (None, False, f"{quoted(text)!r} {reason}; left out", True)
 
 
 @given(st.sampled_from([each for each in DataType if range_of(each)]), st.data())

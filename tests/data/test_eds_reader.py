@@ -291,6 +291,21 @@ def test_sections_of_their_own_go_before_the_compact_form() -> None:
     assert [each.name for each in found.values()] == ["n", "In1", "own", "In3", "more"]
 
 
+@pytest.mark.parametrize(("kind", "code"), [("Name", "unused-entry"), ("Value", "setting"), ("Denotation", "unused-entry")])
+def test_an_entry_of_a_list_that_no_sub_object_takes_has_a_finding(kind: str, code: str) -> None:
+    own = "[2000sub2]\nParameterName=own\nDataType=6\nAccessType=rw\n"
+    text = COMPACT + own + f"[2000{kind}]\nNrOfEntries=7\n3=5\n01=6\n0x1=7\n0=8\n4=9\n2=10\n9=\n_own=11\n"
+    here = f"in [2000{kind}]"
+    left = ["01=6", "0x1=7", "0=8", "4=9"]
+    assert told(text) == [
+        *(
+            f"{line}:{entry.index('=') + 2}: error: {here}: {entry} is for no subindex from 1 to 3; left out [{code}]"
+            for line, entry in enumerate(left, 16)
+        ),
+        f"20:3: warning: {here}: 2=10 is not used: sub-object 2 has a section of its own [unused-entry]",
+    ]
+
+
 def test_compact_numbers_that_are_none() -> None:
     assert list(objects(COMPACT.replace("CompactSubObj=3", "CompactSubObj=x"))[0x2000].variables) == [0]
     assert len(objects(COMPACT.replace("CompactSubObj=3", "CompactSubObj=4000000000"))[0x2000].variables) == 255

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from canopen_data.eds import ini
 from canopen_data.eds.numbers import NOTHING, read_value
 from canopen_data.eds.reader import read_eds
 from canopen_data.findings import Severity
@@ -109,3 +110,45 @@ def test_a_device_without_a_node_id_is_no_fault() -> None:
     assert (finding.severity, finding.message) == (
         Severity.NOTICE, "in [DeviceComissioning]: NodeID=0xFF: the device has no node-ID yet (LSS); left out"
     )  # fmt: skip
+
+
+# ---- settings that are lost ----
+
+SETTING = "[2000]\nParameterName=x\nObjectType=7\nDataType=5\nAccessType=rw\n"
+ARRAY = SETTING.replace("ObjectType=7", "ObjectType=8") + "CompactSubObj=2\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{SETTING}ParameterValue=300\n",
+        f"{SETTING}_ParameterBytes=01 02\n",
+        f"{ARRAY}[2000Value]\nNrOfEntries=1\n1=300\n",
+        f"{ARRAY}[2000Value]\nNrOfEntries=1\n3=30\n",
+        f"{SETTING}[2000Value]\nNrOfEntries=1\n1=30\n",
+    ],
+)
+def test_a_configured_value_that_is_not_in_the_dictionary_is_a_lost_setting(text: str) -> None:
+    description = read_eds(text)
+    assert not [each for each in description.dictionary if each.configured is not None]
+    assert [each.severity for each in description.lost_settings] == [Severity.ERROR]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{SETTING}DefaultValue=300\nLowLimit=-300\nParameterValue=5\n",
+        f"{SETTING}ParameterValue=5\n_ParameterBytes=06\n",
+        f"{SETTING}ParameterValue=\n",
+        f"{ARRAY}[2000Value]\nNrOfEntries=1\n3=\n2=5\n",
+        f"{ARRAY}[2000sub1]\nParameterName=x\nDataType=5\nAccessType=rw\nParameterValue=5\n[2000Value]\n1=6\n",
+    ],
+)
+def test_other_faults_lose_no_setting(text: str) -> None:
+    assert read_eds(text).lost_settings == ()
+
+
+def test_a_file_that_is_not_read_to_its_end_loses_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ini, "MAX_SECTIONS", 1)
+    (lost,) = read_eds(SETTING + SETTING.replace("2000", "2001")).lost_settings
+    assert lost.code == "too-long"

@@ -73,6 +73,7 @@ def test_a_value_that_depends_on_the_node_id(text: str) -> None:
     [
         ('dataType="0005" accessType="rw" defaultValue="256"', "value", "error"),
         ('dataType="0005" accessType="rw" defaultValue="x"', "value", "error"),
+        ('dataType="0005" accessType="rw" actualValue="256"', "setting", "error"),
         ('dataType="0008" accessType="rw" defaultValue="x"', "value", "error"),
         ('dataType="000A" accessType="rw" defaultValue="x"', "value", "error"),
         ('dataType="000C" accessType="rw" defaultValue="00"', "value", "error"),

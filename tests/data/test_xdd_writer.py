@@ -16,7 +16,7 @@ from canopen_data.description import Commissioning, DeviceDescription, DeviceInf
 from canopen_data.descriptions import load_description
 from canopen_data.xdd import read_xdd
 from canopen_data.xdd.writer import write_xdd
-from canopen_proto.datatypes import DataType, ValueRangeError
+from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_testing.strategies import device_descriptions
@@ -96,3 +96,22 @@ def test_a_value_that_its_own_reader_would_not_give_back_is_never_written(facts:
     variable = Variable(0x2000, 0, "Speed", DataType.UNSIGNED16, **facts)
     with pytest.raises(ValueRangeError, match=r"Speed \(0x2000:00\): .* cannot be kept in the file \(UNSIGNED16\)"):
         write_xdd(describe(ObjectDictionary([Object.of("Speed", [variable])])))
+
+
+@pytest.mark.parametrize(
+    ("data_type", "value"),
+    [
+        (DataType.REAL32, float("nan")),
+        (DataType.VISIBLE_STRING, ""),
+        (DataType.VISIBLE_STRING, "a\x19b"),
+        (DataType.VISIBLE_STRING, " a"),
+        (DataType.OCTET_STRING, b""),
+    ],
+)
+def test_a_setting_that_an_xdc_cannot_hold_is_never_left_out(data_type: DataType, value: Value) -> None:
+    """A DCF holds its bytes; an XDC would have another value, or none."""
+    variable = Variable(0x2000, 0, "Setting", data_type, configured=value)
+    described = replace(describe(ObjectDictionary([Object.of("Setting", [variable])])), commissioning=Commissioning(5))
+    with pytest.raises(ValueRangeError, match=r"Setting \(0x2000:00\): .* cannot be kept in an XDC; a DCF can hold it"):
+        write_xdd(described, FileKind.XDC)
+    assert read_xdd(write_xdd(described, FileKind.XDD).encode()).dictionary.at(0x2000, 0).configured is None

@@ -146,6 +146,7 @@ def test_another_configuration_has_another_stamp() -> None:
         ),
         ("configuration = 'sample_io.eds'", "", "sets nothing: it has no ParameterValue"),
         ("configuration = 'other.dcf'", "", "is of node 6, not of node 5"),
+        ("configuration = 'lost.dcf'", "", "lost.dcf:6:16: error: in [2000]: ParameterValue '70000' is outside 0..65535"),
         ("configuration = 'cut.bin'", "", "is no concise DCF"),
         ("software = 5, program = 'empty'", "", "is no program"),
     ],
@@ -153,6 +154,10 @@ def test_another_configuration_has_another_stamp() -> None:
 def test_settings_that_a_node_cannot_have(tmp_path: Path, boot: str, file: str, said: str) -> None:
     write_dcf(tmp_path, {FILTER: 20}, 6)
     (tmp_path / "lamp.dcf").rename(tmp_path / "other.dcf")
+    (tmp_path / "lost.dcf").write_text(
+        "[2000]\nParameterName=x\nObjectType=7\nDataType=6\nAccessType=rw\nParameterValue=70000\n"
+        "[2001]\nParameterName=y\nObjectType=7\nDataType=6\nAccessType=rw\nParameterValue=1\n"
+    )
     (tmp_path / "cut.bin").write_bytes(b"\x01")
     (tmp_path / "empty").write_bytes(b"")
     (tmp_path / "sample_io.eds").write_text(write_eds(load_description("sample_io.eds")))

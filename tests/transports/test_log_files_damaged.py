@@ -119,6 +119,53 @@ def test_a_recorder_that_was_overrun_says_so(tmp_path: Path, line: str, overruns
 
 
 @pytest.mark.parametrize(
+    ("line", "overruns"),
+    [
+        ("      2       500.000 ST  1          Rx -  4    00 00 00 02", 1),  # OVERRUN
+        ("      2       500.000 ST  1          Rx -  4    00 00 00 48", 1),  # QOVERRUN, and BUSHEAVY
+        ("      2       500.000 ST  1          Rx -  4    00 00 00 08", 0),
+        ("      2       500.000 EC  1          Rx -  2    02 02", 0),
+    ],
+)
+def test_peak_s_recorder_that_was_overrun_says_so(tmp_path: Path, line: str, overruns: int) -> None:
+    at = TRC.splitlines()
+    at[5] = line
+    frames, reader, _ = read(tmp_path / "a.trc", "\n".join(at).encode())
+    assert (frames, reader.skipped, reader.overruns) == (FRAMES, 1, overruns)
+
+
+@pytest.mark.parametrize(
+    ("version", "line"),
+    [
+        ("", "2) 1843 FFFFFFFF 4 00 00 00 02 ------OVERRUN"),
+        (";$FILEVERSION=1.1\n", "2) 1843.0 Warng FFFFFFFF 4 00 00 00 02 OVERRUN"),
+    ],
+)
+def test_older_files_of_peak_say_it_in_the_place_of_a_frame(tmp_path: Path, version: str, line: str) -> None:
+    _, reader, _ = read(tmp_path / "a.trc", f"{version}; a comment\n{line}\n".encode())
+    assert (reader.skipped, reader.overruns) == (1, 1)
+
+
+def test_a_second_block_of_an_asc_has_its_own_date(tmp_path: Path) -> None:
+    """Two recordings that were put together."""
+    (tmp_path / "a.asc").write_text(ASC + ASC.replace("Nov 21", "Nov 22"))
+    times = [record.time for record in LogReader(tmp_path / "a.asc")]
+    day = 24 * 3600 * 10**9
+    assert times[2:] == [time + day for time in times[:2]]
+    headers = "\n".join(line for line in ASC.splitlines() if "Trigger" not in line)
+    (tmp_path / "b.asc").write_text(f"{headers}\n{headers}".replace("Nov 21", "Nov 22", 2).replace("Nov 22", "Nov 21", 1))
+    (tmp_path / "b.asc").write_text((tmp_path / "b.asc").read_text().replace(" timestamps absolute", "", 1))
+    assert [record.time for record in LogReader(tmp_path / "b.asc")] == times
+
+
+def test_a_second_block_of_an_asc_that_counts_otherwise_is_damage(tmp_path: Path) -> None:
+    frames, _, error = read(tmp_path / "a.asc", (ASC + ASC.replace("hex", "dec")).encode())
+    assert frames == FRAMES
+    assert error is not None
+    assert "a second header has other numbers or times: base dec timestamps absolute" in str(error)
+
+
+@pytest.mark.parametrize(
     ("name", "content", "seen", "line"),
     [
         ("a.log", b"(1.5) can0 601#40\nhello\n", "'hello' is not a line of candump", 2),

@@ -19,6 +19,7 @@ from can.io.blf import BLFParseError
 
 from canopen_proto.frame import REMOTE
 from canopen_transports.messages import MessageRefusedError, frame_of, message_of
+from canopen_transports.peak import has_overrun
 from canopen_transports.record import LogDamagedError, Record, Skip
 
 _READING_ERRORS: Final = (
@@ -38,7 +39,10 @@ _ENTRY: Final = {
     ".trc": re.compile(r"\s*[^\s;]"),
 }
 """Lines that record an event, as opposed to headers and comments."""
-_HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
+_HEADER: Final = re.compile(r"\s*(;|(?P<word>date|base)\s+(?P<rest>.*))", re.IGNORECASE)
+_STATUS: Final = re.compile(r" (?:ST|Warng|FFFFFFFF) .*?((?:\b[0-9A-F]{2} ?){4})(?: |$)")
+"""An entry of a `.trc` about the recorder's own adapter, with the four bytes of its status. Source: PEAK CAN TRC File Format,
+error warnings (1.0 to 1.3) and hardware status (2.0, 2.1)."""
 
 
 def read_text(file: TextIO, kind: str, skip: Skip) -> Iterator[Record]:
@@ -111,6 +115,8 @@ class _EntryLines:
         self.number = 0
         self.entry = ""
         self.has_header = False
+        self._has_entries = False
+        self._base = ""
         self._file = file
         self._pattern = entry
         self._skip = skip
@@ -120,15 +126,30 @@ class _EntryLines:
 
     def __next__(self) -> str:
         if self.entry:
-            self._skip(f"{self.entry[:60]!r}")
+            status = _STATUS.search(self.entry)
+            lost = status is not None and has_overrun(int(status[1].replace(" ", ""), 16))
+            self._skip(f"{self.entry[:60]!r}", is_overrun=lost)
             self.entry = ""
         line = next(self._file)
         self.number += 1
         if self._pattern.match(line):
+            self._has_entries = True
             self.entry = " ".join(line.split())
-        elif _HEADER.match(line):
+        elif (header := _HEADER.match(line)) is not None:
             self.has_header = True
+            if header["word"] is not None:
+                return self._of_header(line, header["word"].lower(), " ".join(header["rest"].split()))
         return line
+
+    def _of_header(self, line: str, word: str, rest: str) -> str:
+        """Return a line of the header of an `.asc` in the form that python-can's reader understands where it stands: it takes a
+        date from a second header only as that of a trigger block."""
+        if word == "base":
+            base = rest.lower() if "timestamps" in rest.lower() else f"{rest.lower()} timestamps absolute"
+            if self._has_entries and base != self._base:
+                raise LogDamagedError(f"a second header has other numbers or times: base {rest}", self.number)
+            self._base = base
+        return f"Begin Triggerblock {rest}\n" if word == "date" and self._has_entries else line
 
     def close(self) -> None:
         """Does nothing: python-can's readers call it at their end, but our caller closes the file."""

@@ -26,7 +26,7 @@ RULES: Final = (
     Rule("limits-crossed", ERROR, "the low limit is above the high limit: nothing can be written"),
     Rule("limit-type", WARNING, "a limit that the object's type cannot hold"),
     Rule("limit-useless", NOTICE, "limits of an object that holds no number"),
-    Rule("real-infinite", WARNING, "an infinite REAL: the number in the file is too large for the type"),
+    Rule("real-infinite", WARNING, "an infinite REAL: hardly any device means that"),
     Rule("const-default", NOTICE, "a constant whose value the file does not tell"),
     Rule("domain-default", NOTICE, "a DOMAIN with a default"),
     Rule("mappable-type", WARNING, "an object that no PDO can carry is marked as one that a PDO may carry"),

@@ -21,9 +21,10 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from canopen_data.description import DeviceInfo
-from canopen_data.eds.ini import EdsDocument, Findings, Section
-from canopen_data.eds.variables import Variables
-from canopen_data.findings import Severity
+from canopen_data.eds.ini import EdsDocument, Findings, Section, quoted
+from canopen_data.eds.keys import NUMBERED
+from canopen_data.eds.variables import FOREIGN, Variables
+from canopen_data.findings import LOST_SETTING, Severity
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
@@ -69,7 +70,10 @@ class Compact:
             return own
         like = self._variables.read(section, index, 1)
         first = Variable(index, 0, _COUNT, DataType.UNSIGNED8, Access.RO, default=count)
-        names, values, denotations = (self._document.lists.get((index, kind)) for kind in ("name", "value", "denotation"))
+        lists = [self._document.lists.get((index, kind)) for kind in ("name", "value", "denotation")]
+        for entries, code in zip(lists, ("unused-entry", LOST_SETTING, "unused-entry"), strict=True):
+            self._report_unused(entries, code, count, own)
+        names, values, denotations = lists
         called = {} if names is None else names.values
         denoted = {} if denotations is None else denotations.values
         before = (
@@ -97,6 +101,20 @@ class Compact:
             said: tuple[Any, ...] = (*before, *configured, *behind, denoted.get(key, ""))
             variables[subindex] = Variable(index, subindex, name, *said)
         return variables | own
+
+    def _report_unused(self, entries: Section | None, code: str, count: int, own: dict[int, Variable]) -> None:
+        """Report the entries of a list that no variable takes. code: of one that names no subindex of the compact form."""
+        for key, text in () if entries is None else entries.values.items():
+            if key == "nrofentries" or key.startswith(FOREIGN) or not text:
+                continue
+            subindex = int(key) if NUMBERED.fullmatch(key) else 0
+            what = f"{quoted(key)}={quoted(text)}"
+            if subindex in own and subindex:
+                message = f"{what} is not used: sub-object {key} has a section of its own"
+                self._findings.in_section(entries, key, Severity.WARNING, "unused-entry", message)
+            elif not 1 <= subindex <= count:
+                message = f"{what} is for no subindex from 1 to {count}; left out"
+                self._findings.in_section(entries, key, Severity.ERROR, code, message)
 
     def pdos(self, info: DeviceInfo, known: dict[int, Object]) -> Iterator[Object]:
         """Yield the PDO parameters that CompactPDO stands for, without those that the file has. known: the objects of the

@@ -157,6 +157,8 @@ def _real(text: str, data_type: DataType) -> Reading:
     remark = ""
     if _REAL.fullmatch(text):
         value = float(text)
+        if math.isinf(value) and text[-1] in "0123456789.":  # float() makes infinity of 1e400 without a word
+            return _lost(text, f"is too large for {data_type.name}")
     else:
         bits = _BITS.fullmatch(text)
         layout = _REALS[data_type]

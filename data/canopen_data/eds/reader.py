@@ -43,7 +43,7 @@ from canopen_data.eds.keys import Fields
 from canopen_data.eds.modules import Modules
 from canopen_data.eds.numbers import read_number
 from canopen_data.eds.variables import OBJECT_FLAGS, TYPES, Variables
-from canopen_data.findings import DictionaryError, Severity
+from canopen_data.findings import LOST_SETTING, DictionaryError, Severity
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import WITH_FIELDS, ObjectDictionary
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
@@ -91,7 +91,8 @@ def report_unused(document: EdsDocument, findings: Findings, types: Collection[i
         whole = document.objects.get(index)
         if whole is None or whole.get("CompactSubObj") is None:
             said = f"[{quoted(section.name)}] was left out; a list of {kind}s is for a CompactSubObj, and [{index:04X}] has none"
-            _tell(section, Severity.ERROR, said, findings)
+            code = LOST_SETTING if kind == "value" else "unused-section"
+            findings.add(Severity.ERROR, code, said, section.line, 1)
 
 
 def _report(section: Section, name: str, findings: Findings) -> None:

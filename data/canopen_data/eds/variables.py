@@ -25,7 +25,7 @@ from typing import Any, Final
 from canopen_data.eds.ini import EdsDocument, Findings, Section, quoted
 from canopen_data.eds.numbers import Reading, read_number, read_value
 from canopen_data.eds.writer_values import BYTES_KEY, NOT_READ_KEY, text_beside
-from canopen_data.findings import Severity
+from canopen_data.findings import LOST_SETTING, Severity
 from canopen_proto.datatypes import DataType, Value, decode, is_number, range_of
 from canopen_proto.dictionary.objects import Access, ObjectType, Variable
 from canopen_proto.dictionary.standard import find_standard
@@ -55,7 +55,7 @@ _RARE: Final = frozenset(
 _KNOWN: Final = _COMMON | _RARE
 _BYTES: Final = BYTES_KEY.lower()
 _NOT_READ: Final = NOT_READ_KEY.lower()
-_FOREIGN: Final = "_"
+FOREIGN: Final = "_"
 """By custom, a key that begins with this or a semicolon is a maker's own."""
 _ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
 _FLAGS: Final[dict[str | None, bool]] = {"0": False, "0x0": False, "": False, None: False, "1": True, "0x1": True}
@@ -175,8 +175,8 @@ class Variables:
         )
 
     def _exact(self, section: Section, octets: str, text: str, data_type: DataType) -> Value | None:
-        """Return the value whose bytes the file holds; None, with a warning, if they make no value or disagree with
-        ParameterValue."""
+        """Return the value whose bytes the file holds; None, with a finding, if they make no value or disagree with
+        ParameterValue. It is an error if there is no ParameterValue, which would count."""
         try:
             value = decode(bytes.fromhex(octets), data_type)
         except ValueError:
@@ -185,14 +185,15 @@ class Variables:
             if not text or text == text_beside(value, data_type):
                 return value
             reason = f"does not agree with ParameterValue {quoted(text)!r}, which counts"
-        self.warn(section, BYTES_KEY, "value", f"{BYTES_KEY} {quoted(octets)!r} {reason}; left out")
+        lost = (LOST_SETTING, Severity.ERROR) if not text else ("value", Severity.WARNING)
+        self.warn(section, BYTES_KEY, lost[0], f"{BYTES_KEY} {quoted(octets)!r} {reason}; left out", lost[1])
         return None
 
     def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
-        """Return the value of a text in a section, and whether the node-ID is added to it. key: that has the text."""
+        """Return the configured value of a text in a section, and whether the node-ID is added to it. key: that has the text."""
         value, adds_node_id, remark, lost = self._readings_of(data_type)[text]
         if remark:
-            self._remark(section, key, remark, lost)
+            self._remark(section, key, remark, lost, LOST_SETTING if lost else "value")
         return value, adds_node_id
 
     def number(self, section: Section, key: str, most: int) -> int:
@@ -213,7 +214,7 @@ class Variables:
         if values.keys() <= _KNOWN:
             return
         self._told += 1
-        keys = [key for key in reversed(values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
+        keys = [key for key in reversed(values) if key not in _KNOWN and not key.startswith(FOREIGN)]
         if keys:
             message = f"CiA 306 has no {', '.join(map(quoted, keys[:5]))}{' ...' if len(keys) > 5 else ''}"
             self._findings.in_section(section, keys[0], Severity.NOTICE, "unknown-key", message)
@@ -223,8 +224,8 @@ class Variables:
         self._told += 1
         self._findings.in_section(section, key, severity, code, message)
 
-    def _remark(self, section: Section, key: str, remark: str, lost: bool) -> None:
-        self.warn(section, key, "value", f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
+    def _remark(self, section: Section, key: str, remark: str, lost: bool, code: str = "value") -> None:
+        self.warn(section, key, code, f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
 
     def _limit(self, section: Section, key: str, text: str, readings: _Readings) -> int | float | None:
         if not readings.has_limits:

@@ -10,7 +10,7 @@ from typing import Final
 
 from canopen_data.eds.ini import quoted
 from canopen_data.eds.numbers import TEXTS, read_number, read_value
-from canopen_data.findings import Severity
+from canopen_data.findings import LOST_SETTING, Severity
 from canopen_data.xdd.elements import Element, XddFindings
 from canopen_proto.datatypes import DataType, Value, is_number
 
@@ -63,7 +63,8 @@ def value_of(
     is_text = data_type in TEXTS
     value, adds_node_id, remark, lost = read_value(text if is_text else text.strip(), data_type)
     if remark:
-        findings.about(Severity.ERROR if lost else Severity.WARNING, "value", f"{what}: {remark}", element, attribute)
+        code = LOST_SETTING if lost and what == "actualValue" else "value"
+        findings.about(Severity.ERROR if lost else Severity.WARNING, code, f"{what}: {remark}", element, attribute)
     return value, adds_node_id
 
 

@@ -19,9 +19,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 from canopen_data.configured import without_configured
 from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_data.eds.numbers import read_value
 from canopen_data.eds.writer_values import check_kept, limit_text, one_line, value_text
 from canopen_data.xdd.parameters import ELEMENTARY
-from canopen_proto.datatypes import Value
+from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary.model import WITH_FIELDS
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
@@ -50,7 +51,8 @@ def write_xdd(description: DeviceDescription, kind: FileKind | None = None, *, f
 
     kind: XDD or XDC; None: XDC for a description with a commissioning, else XDD. An XDD has no configured values. file_info: of
     the new file; None: that of the description. Raises LocalProtocolError for another kind, ValueRangeError for a value that the
-    file cannot give back: one that the object's type cannot hold.
+    file cannot give back: one that the object's type cannot hold; in an XDC, NaN, no octets, and a text that is empty, has
+    characters that XML does not have, or begins or ends with a blank. A DCF can hold these.
     """
     if kind is None:
         kind = FileKind.XDD if description.commissioning is None else FileKind.XDC
@@ -60,6 +62,7 @@ def write_xdd(description: DeviceDescription, kind: FileKind | None = None, *, f
         description = without_configured(description)
     for variable in description.dictionary:
         check_kept(variable)
+        _check_setting_kept(variable)
     info = description.file_info if file_info is None else file_info
     root = Element("ISO15745ProfileContainer", {"xmlns": _NAMESPACE, "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance"})
     _device_profile(_body(root, "Device", "ProfileBody_Device_CANopen", info, description), description, info)
@@ -67,6 +70,13 @@ def write_xdd(description: DeviceDescription, kind: FileKind | None = None, *, f
     _network_profile(network, description)
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _check_setting_kept(variable: Variable) -> None:
+    value = variable.configured
+    text = _clean(_value(variable, value, variable.configured_adds_node_id))
+    if value is not None and read_value(text, variable.data_type)[0] != value:
+        raise ValueRangeError(f"{variable.label}: configured {value!r} cannot be kept in an XDC; a DCF can hold it")
 
 
 _NAMESPACE: Final = "http://www.canopen.org/xml/1.1"

@@ -16,6 +16,7 @@ from canopen_cli.shared.values import as_json, object_json, parse_value, place_t
 from canopen_data.configured import with_configured
 from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.writer import encode_eds, write_eds
+from canopen_data.findings import DictionaryError
 from canopen_data.named_files import DescriptionFile, open_description
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.concise import pack_concise
@@ -105,6 +106,8 @@ def to_cdcf(
     """
     check_new_file(settings, screen, output, path)
     file = open_description(path, settings.encoding)
+    if file.description.lost_settings:
+        raise DictionaryError(file.description.lost_settings, f"correct it: canopen eds lint {path}")
     commissioning = commissioned(file.description, node_id, path)
     assert commissioning.node_id is not None
     dictionary = file.description.dictionary

@@ -29,6 +29,8 @@ from canopen_proto.multiplexer import Mux, split_mux
 if TYPE_CHECKING:
     from canopen_data.description import DeviceDescription
 
+MAX_NAMED: Final = 5
+"""Settings of the files that are named because they could not be read."""
 HIDDEN: Final = (Role.PROCESS, Role.COMMAND)
 """Roles of objects that change by themselves, or say nothing about how a device is set up."""
 
@@ -115,7 +117,7 @@ def compare(
     """Compare the values of a node, or of a file, with those of another file.
 
     The values of a DCF are those that it configures; of an EDS, its defaults. Exit status: 0 the same, 1 not the same, 7 the same
-    except for objects that could not be read.
+    except for what could not be read, in the node or in a file.
 
     \b
     canopen compare 5 before.dcf
@@ -142,6 +144,7 @@ def compare(
     rows = [row for row in differences(first, second, tolerance) if process_data or row.role not in HIDDEN]
     if only is not None:
         rows = [row for row in rows if (row.change is DifferenceKind.CHANGED) == (only == "changed")]
+    lost = [finding for each in descriptions for finding in each.lost_settings]
     if settings.json:
         screen.json([_as_json(row) for row in rows])
     else:
@@ -150,10 +153,12 @@ def compare(
             screen.table([escape(each) for each in columns], [_cells(row) for row in rows])
         if live is not None:
             tell_unread(screen, found)
+        for each in lost[:MAX_NAMED]:
+            screen.say(f"[yellow]not compared:[/] {escape(str(each))}")
         screen.say(f"{counted(len(rows), 'difference')} between {escape(first.name)} and {escape(second.name)}")
     if rows:
         return ExitCode.DIFFERENT
-    return ExitCode.PARTIAL if first.missing else ExitCode.OK
+    return ExitCode.PARTIAL if first.missing or lost else ExitCode.OK
 
 
 def differences(left: Side, right: Side, tolerance: ValueTolerance) -> list[ComparedObject]:

@@ -75,15 +75,15 @@ def restore(
     The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
     is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
     Set-points, outputs, commands and read-only objects are not written, nor objects that could not be read before. A file of
-    another node-ID, or of another type of device, is refused; so is a backup that another SDO client has disturbed, without
-    --force. Exit status: 7 if something was left out that could not be read.
+    another node-ID, or of another type of device, is refused; so is, without --force, a backup that another SDO client has
+    disturbed, and a file with a setting that cannot be read. Exit status: 7 if something was left out that could not be read.
 
     \b
     canopen restore 5 before.dcf --dry-run
     canopen restore 5 before.dcf --verify --store --yes
     canopen restore 5 before.dcf --to-node 6
     """
-    dictionary = settings_in(path, node_id, any_device, settings.encoding, disturbed=settings.force)
+    dictionary = settings_in(path, node_id, any_device, settings.encoding, forced=settings.force)
     if to is not None:
         dictionary, node_id = moved_to(dictionary, node_id, to), to
     values = settings_of(dictionary, node_id)
@@ -105,13 +105,15 @@ def restore(
     return ExitCode.PARTIAL if tell_unread(screen, dictionary, so_far[0]) else ExitCode.OK
 
 
-def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, disturbed: bool = True) -> ObjectDictionary:
+def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, forced: bool) -> ObjectDictionary:
     """Return the dictionary of a file. Raises a CommandError if the file is of another node, sets nothing, or is a backup that
-    another SDO client has disturbed.
+    another SDO client has disturbed; DictionaryError if one of its settings cannot be read.
 
-    any_node: take the file of another node, too. encoding: "" for a guess. disturbed: take a disturbed backup, too.
+    any_node: take the file of another node, too. encoding: "" for a guess. forced: take also a disturbed backup, and a file with
+    settings that cannot be read.
     """
     from canopen_data.backup_file import disturbance_of
+    from canopen_data.findings import DictionaryError
     from canopen_data.named_files import open_description
 
     description = open_description(path, encoding).description
@@ -128,7 +130,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
             ),
         )
     others_doing = disturbance_of(description.file_info)
-    if others_doing and not disturbed:
+    if others_doing and not forced:
         raise usage(
             "CO137",
             f"{path} is a backup that another SDO client has disturbed; nothing was written",
@@ -138,6 +140,9 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
                 "--force, to write it all the same",
             ),
         )
+    if description.lost_settings and not forced:
+        tries = (f"correct it: canopen eds lint {path}", "--force, to write the others")
+        raise DictionaryError(description.lost_settings, *tries)
     if not any(each.configured is not None for each in description.dictionary):
         raise usage(
             "CO129",

@@ -17,8 +17,23 @@ from canopen_cli.shared.importing import importing, start_is_over
 from canopen_cli.shared.problem import usage
 
 SAME: Final = {
-    "diagnose": ("state",),
-    "status": ("state",),
+    "diagnose": ("state", "drive state"),
+    "status": ("state", "drive state", "scan"),
+    "start": ("nmt start",),
+    "stop": ("drive stop", "nmt stop"),
+    "preop": ("nmt preop",),
+    "reboot": ("nmt reset",),
+    "error": ("emcy history",),
+    "errors": ("emcy history",),
+    "sdo": ("read", "write"),
+    "bitrate": ("listen --bitrates", "lss set-bitrate"),
+    "baudrate": ("listen --bitrates", "lss set-bitrate"),
+    "fastscan": ("lss scan",),
+    "candump": ("monitor",),
+    "tcp": ("ascii", "serve ascii", "bus serve"),
+    "http": ("web", "serve web"),
+    "gateway": ("ascii", "serve ascii"),
+    "upgrade": ("flash",),
     "check": ("lint",),
     "validate": ("lint",),
     "get": ("read",),
@@ -32,12 +47,14 @@ SAME: Final = {
     "ls": ("scan", "list"),
     "sniff": ("monitor",),
     "dump": ("show",),
-    "reset": ("fault-reset",),
+    "reset": ("fault-reset", "nmt reset", "drive fault-reset", "reset-defaults"),
     "simulate": ("sim",),
     "new": ("init", "from-chains"),
     "create": ("new", "init", "from-chains"),
 }
 """What is called otherwise elsewhere, and the commands here that do it, in whichever group they are."""
+NEAR: Final = 0.7
+"""How alike two words are, 0 to 1, one of which may be a slip of the other."""
 
 
 class NamingGroup(click.Group):
@@ -55,15 +72,23 @@ class NamingGroup(click.Group):
         if args[0] == "help":
             return [" ".join((path, *(args[1:] if args[1:2] and args[1] in self.list_commands(ctx) else ()), "--help"))]
         options = [f"--{args[0]}"] if any(f"--{args[0]}" in each.opts for each in self.get_params(ctx)) else []
-        return [f"{path} {word}" for word in (*options, *self.meant_by(ctx, args[0]), "--help")]
+        lines = [f"{path} {word}" for word in (*options, *self.meant_by(ctx, args[0]))]
+        root = ctx.find_root()
+        if isinstance(root.command, click.Group) and args[0] in root.command.list_commands(root):
+            lines.append(f"{root.command_path} {args[0]}")
+        return [*lines, f"{path} --help"]
 
     def meant_by(self, ctx: click.Context, word: str) -> list[str]:
-        """Return the commands that a word is near to, or means elsewhere."""
+        """Return the commands that a word means elsewhere, that are called so in a group below, or that it is near to."""
         from difflib import get_close_matches
 
         names = self.list_commands(ctx)
-        found = [each for each in SAME.get(word.lower(), ()) if each in names]
-        return list(dict.fromkeys((*found, *get_close_matches(word.lower(), names))))
+        found = [each for each in SAME.get(word.lower(), ()) if each.split()[0] in names]
+        return list(dict.fromkeys((*found, *self.below(ctx, word), *get_close_matches(word.lower(), names, cutoff=NEAR))))
+
+    def below(self, ctx: click.Context, word: str) -> list[str]:
+        """Return the commands of groups below that are called so."""
+        return []
 
 
 class LazyGroup(NamingGroup):
@@ -91,11 +116,10 @@ class LazyGroup(NamingGroup):
             start_is_over()
         return command
 
-    def meant_by(self, ctx: click.Context, word: str) -> list[str]:
-        """Return the commands that a word is near to; and those of a group below that are called so."""
-        found = super().meant_by(ctx, word)
+    def below(self, ctx: click.Context, word: str) -> list[str]:
+        found = []
         for name, (module, _) in self.table.items():
-            group = self.get_command(ctx, name) if module.endswith(".group") else None
+            group = self.get_command(ctx, name) if module.endswith((".group", ".log")) else None
             if isinstance(group, click.Group) and word in group.list_commands(ctx):
                 found.append(f"{name} {word}")
         return found

@@ -21,6 +21,7 @@ from canopen_data import DataError, content_of
 from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
+from canopen_data.findings import first_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.model import MAX_MILLISECONDS, BootSettings, LossReaction, MachineFile, NodeEntry, StartOrder
 from canopen_proto import indices
@@ -186,6 +187,9 @@ class _EntryOfNode:
         node_id = self._node.node_id
         description = load_description(path)
         dictionary = description.dictionary
+        if description.lost_settings:
+            lost = first_of([str(each) for each in description.lost_settings])
+            raise self._wrong(f"a setting of {path} cannot be read: {lost}", f"canopen eds lint {path}")
         if description.node_id is not None and description.node_id != node_id:
             raise self._wrong(
                 f"{path} is of node {description.node_id}, not of node {node_id}",
