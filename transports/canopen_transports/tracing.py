@@ -14,7 +14,7 @@ If a trace cannot be written (no room on the disk), it ends, and says so at the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Final, Protocol, TypeVar
@@ -122,26 +122,6 @@ class Trace:
         """Take a member that has left its bus out of the trace."""
         with suppress(ValueError):  # closed twice
             self._taps[tap.locator].remove(tap)
-
-
-class _Listener:
-    """A LogWriter that passes each record on."""
-
-    left_out = 0
-
-    def __init__(self, heard: Callable[[Record], None]) -> None:
-        self.write = heard
-
-    def lost(self, time: int, channel: str) -> None:
-        """Nobody reads it."""
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-def tapped(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
-    """Return the transport, with each frame that passes through it told to `heard`, which must not raise or block."""
-    return Trace(_Listener(heard)).wrap(transport)
 
 
 class TracingTransport(AsyncResource):
