@@ -448,7 +448,6 @@ def draw_tui(folder: Path) -> None:
 
 def tui_picture(wanted: TuiView) -> Text:
     """Return a view as a terminal shows it. The machine runs in virtual time, which follows the real one; the view does not."""
-    from canopen_cli.live.frame_lines import Buses
     from canopen_cli.shared.node_files import NodeFiles
     from canopen_cli.shared.options import Settings
     from canopen_cli.tui.app import MachineView
@@ -457,7 +456,6 @@ def tui_picture(wanted: TuiView) -> Text:
     from canopen_gateway import open_gateway
     from canopen_master.participant.patient_clock import PatientClock
     from canopen_master.simulation.serving import simulated_drives
-    from canopen_transports.tracing import listening
 
     watches: list[MachineWatch] = []
     pictures: list[Text] = []
@@ -465,15 +463,13 @@ def tui_picture(wanted: TuiView) -> Text:
 
     async def machine() -> None:
         settings = Settings()
-        with listening(lambda record: watches[0].heard(record) if watches else None) as trace:
-            async with open_master(TUI_BUS) as master, open_gateway(master) as service:
-                files = NodeFiles(settings, settings.screen())
-                with service.open_session("the view") as session:
-                    watches.append(MachineWatch(service, session, files, trace, Buses(files)))
-                    async with simulated_drives([(TUI_BUS, 3), (TUI_BUS, 4)]) as drives:
-                        drives.raise_fault(3, 0x3220)
-                        opened.set()
-                        await watches[0].run()
+        async with open_master(TUI_BUS) as master, open_gateway(master) as service:
+            with service.open_session("the view") as session:
+                watches.append(MachineWatch(service, session, NodeFiles(settings, settings.screen())))
+                async with simulated_drives([(TUI_BUS, 3), (TUI_BUS, 4)]) as drives:
+                    drives.raise_fault(3, 0x3220)
+                    opened.set()
+                    await watches[0].run()
 
     async def host(ended: asyncio.Future[Any]) -> None:
         await asyncio.wait_for(opened.wait(), TUI_LIMIT)

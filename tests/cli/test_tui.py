@@ -25,7 +25,6 @@ pytest.importorskip("textual", reason="textual is not installed: the extra `tui`
 from textual.pilot import Pilot
 from textual.widgets import Input
 
-from canopen_cli.live.frame_lines import Buses
 from canopen_cli.shared.marks import cells_of
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings
@@ -34,16 +33,16 @@ from canopen_cli.tui.guest import run_beside
 from canopen_cli.tui.machine_watch import MOST_LINES, MachineWatch
 from canopen_cli.tui.questions import Ask
 from canopen_cli.tui.rows import Rows, cell
-from canopen_cli.tui.shown import LineKind, ObjectPlace
+from canopen_cli.tui.shown import ObjectPlace
 from canopen_cli.tui.views import traffic_text
 from canopen_gateway import GatewaySession, Permission, open_gateway
+from canopen_gateway.traffic import FeedRow
 from canopen_master import open_master
 from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.simulation import SimulatedDevices, simulated_drives
 from canopen_proto.frame import Frame
 from canopen_transports import BusState, BusStateChanged
-from canopen_transports.record import Record
-from canopen_transports.tracing import listening
+from canopen_transports.errors import ReceiveOverrun
 from tests.cli.cli_support import Run, stands
 from tests.cli.terminal import Terminal, canopen, needs_tmux, terminals
 from tests.examples import takes_all
@@ -70,17 +69,15 @@ def viewed(
     held, opened = Held(), asyncio.Event()
 
     async def machine() -> None:
-        with listening(lambda record: held.watch.heard(record) if opened.is_set() else None) as trace:
-            async with (
-                simulated_drives([(BUS, 3), (BUS, 4)]) as held.simulation,
-                open_master(BUS) as master,
-                open_gateway(master, allow=allow) as service,
-            ):
-                files = NodeFiles(settings, settings.screen())
-                with service.open_session("the view") as session:
-                    held.watch = MachineWatch(service, session, files, trace, Buses(files))
-                    opened.set()
-                    await held.watch.run()
+        async with (
+            simulated_drives([(BUS, 3), (BUS, 4)]) as held.simulation,
+            open_master(BUS) as master,
+            open_gateway(master, allow=allow) as service,
+        ):
+            with service.open_session("the view") as session:
+                held.watch = MachineWatch(service, session, NodeFiles(settings, settings.screen()))
+                opened.set()
+                await held.watch.run()
 
     async def host(ended: asyncio.Future[Any]) -> None:
         waits = asyncio.ensure_future(opened.wait())
@@ -173,7 +170,7 @@ def test_its_views(monkeypatch: pytest.MonkeyPatch) -> None:
         await until(pilot, lambda: shows(view, "0x3220", "emergency"))
         await pilot.press("a")
         assert all("emergency" in row for row in rows(view))
-        assert held.watch.left == 0
+        assert held.watch.service.traffic(BUS).dropped == 0
 
     found = written(monkeypatch)
     viewed(test)
@@ -249,12 +246,11 @@ def test_more_than_may_be_watched_is_refused_and_the_others_go_on() -> None:
 
 def test_a_finding_that_the_header_counts_is_there_to_be_read_however_many_frames_came_since() -> None:
     async def test(pilot: Pilot[None], held: Held) -> None:
-        now = time.time_ns()
         texts = ["000#01", *["123#"] * (MOST_LINES + 9)]
-        for number, text in enumerate(texts):
-            held.watch.heard(Record(now + number * 1_000_000, "other", Frame.parse(text)))
+        master = held.watch.service.master
+        master.bus(BUS).take_in(iter([(Frame.parse(text), None) for text in texts]), master.now())
         await until(pilot, lambda: held.watch.shown.frames >= len(texts))
-        lines = [each.text for each in held.watch.shown.traffic if each.kind is LineKind.FINDING]
+        lines = [each.text for each in held.watch.shown.traffic if each.kind == "finding"]
         assert len(lines) == held.watch.shown.findings == 1
         assert lines[0].startswith("length: an NMT command of 1 byte")
 
@@ -265,37 +261,34 @@ def test_a_finding_that_the_header_counts_is_there_to_be_read_however_many_frame
 @virtual_time
 async def test_no_node_is_late_for_what_this_computer_could_not_hear(what: str) -> None:
     """Whether the node went on meanwhile, nobody knows."""
-    settings = Settings()
-    files = NodeFiles(settings, settings.screen())
-    with listening(lambda record: None) as trace:
-        async with gateway() as (_, service), trio.open_nursery() as nursery:
-            with service.open_session("the view") as session:
-                watch, bus = MachineWatch(service, session, files, trace, Buses(files)), service.master.bus(BUS_OF_GATEWAY)
-                nursery.start_soon(watch.run)
+    async with gateway() as (_, service), trio.open_nursery() as nursery:
+        with service.open_session("the view") as session:
+            watch, bus = MachineWatch(service, session, None), service.master.bus(BUS_OF_GATEWAY)
+            nursery.start_soon(watch.run)
 
-                async def beats() -> None:
-                    for _ in range(8):
-                        watch.heard(Record(trace.now(), BUS_OF_GATEWAY, Frame.parse("763#05")))
-                        await trio.sleep(0.1)
-
-                def late() -> list[int]:
-                    return [each.node_id for each in watch.shown.traffic if each.text.startswith("late heartbeat")]
-
-                await beats()
-                if what == "frames are lost":
+            async def beats() -> None:
+                for _ in range(8):
+                    bus.take_in(iter([(Frame.parse("763#05"), None)]), service.master.now())
                     await trio.sleep(0.1)
-                    trace.lose(3, BUS_OF_GATEWAY, trace.now())
-                    await trio.sleep(0.1)
-                else:
-                    bus.take_in(iter([BusStateChanged("x", BusState.DOWN, "unplugged")]), service.master.now())
-                    await trio.sleep(3)
-                    assert late() == []
-                    bus.take_in(iter([BusStateChanged("x", BusState.UP, "plugged in")]), service.master.now())
-                await beats()
-                assert late() == []
+
+            def late() -> list[int]:
+                return [each.node_id for each in watch.shown.traffic if each.text.startswith("late heartbeat")]
+
+            await beats()
+            if what == "frames are lost":
+                await trio.sleep(0.1)
+                bus.take_in(iter([ReceiveOverrun("x", 3, "too slow")]), service.master.now())
+                await trio.sleep(0.1)
+            else:
+                bus.take_in(iter([BusStateChanged("x", BusState.DOWN, "unplugged")]), service.master.now())
                 await trio.sleep(3)
-                assert late() == [99], "now it is silent itself"
-                nursery.cancel_scope.cancel()
+                assert late() == []
+                bus.take_in(iter([BusStateChanged("x", BusState.UP, "plugged in")]), service.master.now())
+            await beats()
+            assert late() == []
+            await trio.sleep(3)
+            assert late() == [99], "now it is silent itself"
+            nursery.cancel_scope.cancel()
 
 
 def test_f12_halts_while_something_is_typed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -557,8 +550,6 @@ def test_strings_of_devices_are_shown_and_never_obeyed() -> None:
 
 
 def test_a_line_of_the_traffic_is_cut_at_the_width() -> None:
-    from canopen_cli.tui.shown import LineKind, TrafficLine
-
-    line = TrafficLine(LineKind.FRAME, 1.0, "705#7F", "heartbeat", 5, "x" * 300)
+    line = FeedRow("frame", 1.0, "705#7F", "heartbeat", 5, "x" * 300)
     assert len(traffic_text(line, 80).plain) == 80
-    assert traffic_text(line._replace(kind=LineKind.FINDING), 40).plain.startswith("! xxx")
+    assert traffic_text(line._replace(kind="finding"), 40).plain.startswith("! xxx")

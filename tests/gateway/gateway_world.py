@@ -13,9 +13,6 @@ from canopen_gateway.ascii import AsciiConnection
 from canopen_gateway.service import GatewaySession
 from canopen_master import Host, open_master
 from canopen_proto.gateway import CANOPENNODE, Dialect, print_answer
-from canopen_transports import open_transport
-from canopen_transports.record import Record
-from canopen_transports.tracing import tapped
 from tests.master.world import BUS, simulated
 
 EVERYTHING = "write,motion,store,program,nmt,lss"
@@ -57,15 +54,13 @@ async def gateway(
 ) -> AsyncIterator[tuple[Host, GatewayService]]:
     """A gateway over drives on a virtual bus. heard: the frames that pass, as text."""
 
-    def note(record: Record) -> None:
-        if heard is not None:
-            heard.append(str(record.frame))
-
     async with (
         simulated(*node_ids, makers=makers) as host,
-        open_master(tapped(await open_transport(BUS), note), **options) as master,
+        open_master(BUS, **options) as master,
         open_gateway(master, allow=parse_permissions(allow), limits=limits) as service,
     ):
+        if heard is not None:
+            master.bus().listen(lambda frame, *_: heard.append(str(frame)))
         yield host, service
 
 

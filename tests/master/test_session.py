@@ -3,6 +3,7 @@
 import signal
 import types
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,9 +26,9 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.manager.parameters.walk import back_up_by_names
 from canopen_transports import VirtualTransport
+from canopen_transports.log_files import log_writer
 from canopen_transports.loop import CancelScope
-from canopen_transports.record import Record
-from canopen_transports.tracing import tapped
+from canopen_transports.tracing import Trace
 from tests.loops import beside, is_interrupt, loop, settled
 from tests.master.world import (
     BUS,
@@ -60,13 +61,16 @@ class Gateway(VirtualTransport):
 
 
 @virtual_time
-async def test_a_transport_that_may_not_hear_other_clients_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
-    lines: list[Record] = []
+async def test_a_transport_that_may_not_hear_other_clients_is_named_once(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    trace = Trace(log_writer(tmp_path / "trace.log"))
     async with Gateway("gate") as gateway, VirtualTransport("open") as whole:
-        recorded = tapped(gateway, lines.append)
+        recorded = trace.wrap(gateway)
         async with open_master(buses={"arm": recorded, "gripper": recorded, "whole": whole}) as master:
             for bus in ("arm", "gripper", "whole"):
                 master.node(3, bus=bus)
+    trace.close()
     said = [each.getMessage() for each in caplog.records if "may not be heard" in each.getMessage()]
     (warning,) = said
     assert warning.startswith("arm: frames of others may not be heard here, as the gateway forwards only answers: ")

@@ -14,7 +14,7 @@ If a trace cannot be written (no room on the disk), it ends, and says so at the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Final, Protocol, TypeVar
@@ -45,7 +45,7 @@ class Trace:
     """One recording. devices_are_ours: the simulated devices record, so their frames count as sent.
 
     failure: why it ended early, or None. recorded: how many frames it holds. lost: how many it lacks at least, because they were
-    lost on their way to us. left_out: how many this kind of file cannot hold. listeners: are told each record, too.
+    lost on their way to us. left_out: how many this kind of file cannot hold.
     """
 
     def __init__(self, writer: LogWriter, *, devices_are_ours: bool = False) -> None:
@@ -54,7 +54,6 @@ class Trace:
         self.lost = 0
         self.devices_are_ours = devices_are_ours
         self.left_out = 0
-        self.listeners: list[Callable[[Record], None]] = []
         self._closed = False
         self._writer = writer
         self._zero: int | None = None
@@ -70,8 +69,6 @@ class Trace:
 
     def record(self, record: Record) -> None:
         """Add a frame, unless the recording has ended. Raises nothing."""
-        for each in self.listeners:
-            each(record)
         if self.failure is None and not self._closed:
             try:
                 self._writer.write(record)
@@ -125,26 +122,6 @@ class Trace:
         """Take a member that has left its bus out of the trace."""
         with suppress(ValueError):  # closed twice
             self._taps[tap.locator].remove(tap)
-
-
-class _Listener:
-    """A LogWriter that passes each record on."""
-
-    left_out = 0
-
-    def __init__(self, heard: Callable[[Record], None]) -> None:
-        self.write = heard
-
-    def lost(self, time: int, channel: str) -> None:
-        """Nobody reads it."""
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-def tapped(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
-    """Return the transport, with each frame that passes through it told to `heard`, which must not raise or block."""
-    return Trace(_Listener(heard)).wrap(transport)
 
 
 class TracingTransport(AsyncResource):
@@ -275,22 +252,6 @@ def recording(writer: LogWriter, *, devices_are_ours: bool = False) -> Iterator[
     finally:
         _trace.reset(token)
         trace.close()
-
-
-@contextmanager
-def listening(heard: Callable[[Record], None]) -> Iterator[Trace]:
-    """Tell `heard` each frame of the transports that are opened while the block runs, beside a recording that may run already. It
-    must not raise or block. The trace's `now` is the clock of the records."""
-    trace = _trace.get()
-    if trace is None:
-        with recording(_Listener(heard)) as trace:
-            yield trace
-        return
-    trace.listeners.append(heard)
-    try:
-        yield trace
-    finally:
-        trace.listeners.remove(heard)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -226,9 +227,12 @@ class _Watching:
             raise failures[0]
 
     async def _ask(self, every: Time, heard: Callable[[Record], None]) -> None:
-        async with open_session(self._settings, self._screen, heard=heard) as session:
+        async with open_session(self._settings, self._screen) as session:
+            bus = session.master.bus()
+            zero = time.time_ns() - session.master.now()
+            bus.listen(lambda frame, now, _, is_sent: heard(Record(now + zero, self._channel or "", frame, is_sent)))
             self._where = self._settings.required_bus()
-            self._bitrate = session.master.bus().bitrate or self._settings.told_bitrate()
+            self._bitrate = bus.bitrate or self._settings.told_bitrate()
             session.master.watch((FramesLost, BusChanged), self._bus_event)
             node = session.node(self._watched.node_id)
             self._polling = Polling(session, node, self._watched, self.now, every, self._bitrate)

@@ -6,7 +6,7 @@ LISTEN_ON before it says what it heard of the node that it asked, and of others.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
@@ -32,8 +32,6 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoTransferError
 from canopen_transports import open_transport
-from canopen_transports.record import Record
-from canopen_transports.tracing import tapped
 from canopen_transports.transport import Transport
 
 if TYPE_CHECKING:
@@ -118,13 +116,8 @@ def simulated_drives(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContext
 
 
 @asynccontextmanager
-async def open_session(
-    settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
-) -> AsyncIterator[BusSession]:
-    """Open a master on the bus of the options while the block runs. Raises CommandError, BusError, DictionaryError, DataError.
-
-    heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
-    """
+async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[BusSession]:
+    """Open a master on the bus of the options while the block runs. Raises CommandError, BusError, DictionaryError, DataError."""
     bus = settings.required_bus()
     files = NodeFiles(settings, screen)
     async with AsyncExitStack() as stack:
@@ -138,8 +131,6 @@ async def open_session(
             from canopen_cli.shared.withholding import withheld
 
             opened = withheld(await open_transport(bus), files.dictionary_of)
-        elif heard is not None:
-            opened = tapped(await open_transport(bus), heard)
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.of_all_others, watchdog=settings.watchdog)
         )

@@ -5,7 +5,8 @@ The view looks at `shown`, which is made anew each REFRESH, and asks for somethi
 Those may be called from outside of trio, and return at once. What became of it is in `shown`, or in `notices`.
 
 What is read, written and commanded goes through the service like that of any other client: its guard, its limits and its lease
-decide. What passes on the bus is heard by a tap, and understood by the observer: nothing is asked for that.
+decide. What passes on the bus comes from the service, too, as for the page of the web door (`NetTraffic`): nothing is asked for
+that.
 """
 
 from __future__ import annotations
@@ -13,27 +14,17 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Final
 
 import trio
 
-from canopen_cli.live.frame_lines import Buses
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import counted, node_text
 from canopen_cli.shared.values import parse_value, physical, physical_text, value_text
-from canopen_cli.tui.shown import (
-    DriveShown,
-    LineKind,
-    MachineShown,
-    NodePlace,
-    ObjectPlace,
-    ReadObject,
-    TrafficLine,
-    ValueShown,
-)
+from canopen_cli.tui.shown import DriveShown, MachineShown, NodePlace, ObjectPlace, ReadObject, ValueShown
 from canopen_gateway import GatewayError, GatewayService, GatewaySession, ValueSeen, WatchedObject
 from canopen_gateway.errors import first_line
 from canopen_gateway.nmt_words import nmt_command
@@ -49,29 +40,19 @@ from canopen_gateway.plain_data import (
     plain_value,
     view_data,
 )
+from canopen_gateway.traffic import FeedRow, FrameWish, TrafficFeed
 from canopen_gateway.values import decoded
 from canopen_master.errors import NodeIsNoDriveError
-from canopen_master.monitor_words import finding_text
 from canopen_master.plain_text import clean
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.machine import SECOND
 from canopen_proto.procedures import ProcedureError
-from canopen_transports.errors import DEAF
-from canopen_transports.record import Record
-from canopen_transports.tracing import Trace
 
 REFRESH: Final = 0.25
 """Seconds between two looks at the machine."""
 MOST_EVENTS: Final = 200
 MOST_LINES: Final = 1000
 """Lines of the traffic that are kept."""
-MOST_WAITING: Final = 20_000
-"""Frames that wait to be understood: two seconds of a full bus at 1 Mbit/s. More are left out, and counted."""
-AT_ONCE: Final = 50
-"""Frames that are understood before other tasks run."""
-LATE: Final = SECOND // 4
-"""Longer than a frame is on its way from the bus to us."""
 LOOK_AGAIN: Final = 1.5
 """Seconds between two looks at the drives, while they are shown."""
 VALUES_EACH: Final = 0.25
@@ -84,33 +65,28 @@ REFUSED: Final = (GatewayError, *EXPECTED, ProcedureError, CommandError)
 
 class MachineWatch:
     """See this module's text. shown: what there is to be seen. notices: what the user is to be told, oldest first, each with
-    whether it is an error; the view takes them out. left: frames that came too fast to be understood."""
+    whether it is an error; the view takes them out."""
 
     def __init__(
         self,
         service: GatewayService,
         session: GatewaySession,
         files: NodeFiles | None,
-        trace: Trace,
-        buses: Buses,
-        clock: Callable[[], float] = time.time,
     ) -> None:
-        """session: this view, as a client. files: those of the nodes of the only net. trace: its clock is that of the records.
-        buses: what understands them. clock: seconds since 1970, for events."""
+        """session: this view, as a client. files: those of the nodes of the only net."""
         self.service = service
         self.notices: deque[tuple[str, bool]] = deque(maxlen=20)
-        self.left = 0
-        self._session, self._files, self._trace, self._buses, self._clock = session, files, trace, buses, clock
+        self._session, self._files = session, files
         self.shown = MachineShown(mode=service.guard.mode)
         self._token = trio.lowlevel.current_trio_token()
         self._scope = trio.CancelScope()
         self._nursery: trio.Nursery | None = None
-        self._records: deque[Record] = deque(maxlen=MOST_WAITING)
-        self._lines: deque[TrafficLine] = deque(maxlen=MOST_LINES)
-        self._older: deque[TrafficLine] = deque(maxlen=MOST_LINES)  # findings that are older than these lines
+        self._traffic = {net: service.traffic(net) for net in service.nets}
+        self._feeds: list[TrafficFeed] = []
+        self._failed: set[str] = set()  # the nets whose traffic is not understood any more
+        self._lines: deque[FeedRow] = deque(maxlen=MOST_LINES)
+        self._older: deque[FeedRow] = deque(maxlen=MOST_LINES)  # findings that are older than these lines
         self._events: deque[Plain] = deque(maxlen=MOST_EVENTS)
-        self._frames = self._findings = 0
-        self._lost, self._is_deaf = trace.lost, False
         self._objects: dict[ObjectPlace, ReadObject] = {}
         self._values: dict[ObjectPlace, _LiveValue] = {}
         self._watching = trio.CancelScope()
@@ -126,7 +102,8 @@ class MachineWatch:
 
     async def run(self) -> None:
         """Watch the machine until the view leaves, or this is cancelled."""
-        with self._scope:
+        with self._scope, ExitStack() as stack:
+            self._feeds = [stack.enter_context(each.watch(FrameWish(), MOST_LINES)) for each in self._traffic.values()]
             for net in self.service.nets:
                 self._session.hear_boot_ups(net, True)
             async with trio.open_nursery() as nursery:
@@ -135,67 +112,35 @@ class MachineWatch:
                 nursery.start_soon(self._look_at_drives)
                 await self._refresh()
 
-    def heard(self, record: Record) -> None:
-        """Take a frame of a bus, in the pump's turn: understood later."""
-        self.left += len(self._records) == MOST_WAITING
-        self._records.append(record)
-
     async def _refresh(self) -> None:
         before, told = 0, trio.current_time()
         rate = 0.0
         while True:
-            await self._understand()
+            self._take_lines()
             self._session.watch_heard()
             self._name_objects()
             now = trio.current_time()
             if now - told >= 1.0:
-                rate, before, told = (self._frames - before) / (now - told), self._frames, now
+                rate, before, told = (self._seen - before) / (now - told), self._seen, now
             self.shown = self._take(rate)
             await trio.sleep(REFRESH)
 
-    async def _understand(self) -> None:
-        """Put what was heard into words."""
-        left, lost, self.left, self._lost = self.left, self._trace.lost - self._lost, 0, self._trace.lost
-        was_deaf, self._is_deaf = self._is_deaf, any(self.service.master.bus(net).state in DEAF for net in self.service.nets)
-        if left:
-            self._buses.lost(f"{counted(left, 'frame')} came too fast for this view")
-        elif lost:
-            self._buses.lost(f"{counted(lost, 'frame')} lost on the way to this program")
-        elif was_deaf or self._is_deaf:
-            self._buses.lost("the bus was away")  # that nothing came says nothing about a node
-        if not self._records:
-            for _, findings, summaries in self._buses.idle(self._trace.now() - LATE):
-                seconds = self._buses.seconds(self._trace.now())
-                for finding in findings:
-                    self._add_finding(seconds, finding_text(finding), finding.node_id)
-                for each in summaries:
-                    self._add_line(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
-        for number in range(len(self._records)):
-            if number % AT_ONCE == AT_ONCE - 1:
-                await trio.lowlevel.checkpoint()
-            record = self._records.popleft()
-            seconds, observation = self._buses.observe(record)
-            meaning = observation.meaning
-            self._frames += 1
-            for each in observation.summaries:
-                self._add_line(TrafficLine(LineKind.SUMMARY, seconds, "", each.service, each.node_id, clean(each.text)))
-            self._add_line(
-                TrafficLine(
-                    LineKind.FRAME, seconds, str(record.frame), clean(meaning.service), meaning.node_id or 0, clean(meaning.text)
-                )
-            )
-            for finding in observation.findings:
-                self._add_finding(seconds, finding_text(finding), finding.node_id)
+    @property
+    def _seen(self) -> int:
+        """The frames so far."""
+        return sum(each.seen for each in self._feeds)
 
-    def _add_line(self, line: TrafficLine) -> None:
-        """Add a line. Findings stay when frames have taken their places: they are counted in the header."""
-        if len(self._lines) == MOST_LINES and self._lines[0].kind is LineKind.FINDING:
-            self._older.append(self._lines[0])
-        self._lines.append(line)
-
-    def _add_finding(self, seconds: float, text: str, node_id: int) -> None:
-        self._findings += 1
-        self._add_line(TrafficLine(LineKind.FINDING, seconds, "", "", node_id, text))
+    def _take_lines(self) -> None:
+        """Take what has passed, in words. Findings stay when frames have taken their places: they are counted in the header."""
+        rows = (row for feed in self._feeds for row in feed.take())
+        for row in sorted(rows, key=lambda row: row.seconds):
+            if len(self._lines) == MOST_LINES and self._lines[0].kind == "finding":
+                self._older.append(self._lines[0])
+            self._lines.append(row)
+        for net, traffic in self._traffic.items():
+            if traffic.failure is not None and net not in self._failed:
+                self._failed.add(net)
+                self.notices.append((f"{net}: what passes is not understood any more: {first_line(traffic.failure)}", True))
 
     def _name_objects(self) -> None:
         """Know each node by its own file."""
@@ -214,8 +159,8 @@ class MachineWatch:
             events=tuple(self._events),
             lease=lease_data(self.service),
             traffic=(*self._older, *self._lines),
-            frames=self._frames,
-            findings=self._findings,
+            frames=self._seen,
+            findings=sum(each.found.total() for each in self._traffic.values()),
             rate=rate,
             load=self._load(nets, now),
             values=tuple(each.shown(now) for each in self._values.values()),
@@ -239,7 +184,7 @@ class MachineWatch:
     async def _hear(self) -> None:
         while True:
             heard = await self._session.next_event()
-            event = event_data(self.service, heard, self._clock())
+            event = event_data(self.service, heard, time.time())
             if event["kind"] == "boot-up":
                 self._no_drives.discard(NodePlace(heard.net, event["node"]))
             self._events.append(event)

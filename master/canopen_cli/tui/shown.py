@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import NamedTuple
 
 from canopen_gateway.plain_data import Plain
+from canopen_gateway.traffic import FeedRow
 
 
 class NodePlace(NamedTuple):
@@ -35,25 +35,6 @@ class ObjectPlace:
     def parts(self) -> tuple[str, int, int, int]:
         """Net, node-ID, index and subindex."""
         return self.net, self.node_id, self.index, self.subindex
-
-
-class LineKind(Enum):
-    """What a line of the traffic is."""
-
-    FRAME = "frame"
-    FINDING = "finding"
-    SUMMARY = "summary"
-
-
-class TrafficLine(NamedTuple):
-    """A frame in words, or what is wrong. seconds: since the first frame. node_id: 0: of no single node."""
-
-    kind: LineKind
-    seconds: float
-    frame: str
-    service: str
-    node_id: int
-    text: str
 
 
 class ReadObject(NamedTuple):
@@ -99,7 +80,7 @@ class MachineShown:
     names: Mapping[NodePlace, str] = field(default_factory=dict)
     events: tuple[Plain, ...] = ()
     lease: Plain = field(default_factory=dict)
-    traffic: tuple[TrafficLine, ...] = ()
+    traffic: tuple[FeedRow, ...] = ()
     frames: int = 0
     findings: int = 0
     rate: float = 0.0

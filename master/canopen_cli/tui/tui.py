@@ -11,10 +11,8 @@ from typing import Any
 
 from rich.text import Text
 
-from canopen_cli.live.frame_lines import Buses
 from canopen_cli.serve.served import open_with_files
 from canopen_cli.shared.importing import importing
-from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, command
 from canopen_cli.shared.permissions import allow_option
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
@@ -25,8 +23,6 @@ from canopen_cli.tui.guest import run_beside
 from canopen_cli.tui.machine_watch import MachineWatch
 from canopen_cli.tui.terminal_file import terminal_file
 from canopen_gateway import Permission, open_gateway
-from canopen_transports.record import Record
-from canopen_transports.tracing import listening
 
 LEAST_COLUMNS, LEAST_LINES = 40, 10
 
@@ -101,21 +97,11 @@ class _Running:
     async def serve(self) -> None:
         """Open the machine, and watch it until the view leaves."""
         settings, screen = self._settings, self._screen
-        with listening(self._hear) as trace:
-            async with (
-                open_with_files(settings, screen) as (master, files),
-                open_gateway(master, allow=self._allow) as service,
-            ):
-                known = files or NodeFiles(settings, screen)
-                with service.open_session("the view") as session:
-                    buses = Buses(known, bitrate=settings.told_bitrate() or 0)
-                    self._watch = MachineWatch(service, session, files, trace, buses)
-                    self._opened.set()
-                    await self._watch.run()
-
-    def _hear(self, record: Record) -> None:
-        if self._watch is not None:
-            self._watch.heard(record)
+        async with open_with_files(settings, screen) as (master, files), open_gateway(master, allow=self._allow) as service:
+            with service.open_session("the view") as session:
+                self._watch = MachineWatch(service, session, files)
+                self._opened.set()
+                await self._watch.run()
 
     async def show(self, ended: asyncio.Future[Any]) -> None:
         """Show the view once the machine is open, until its user ends it, or the machine is gone."""

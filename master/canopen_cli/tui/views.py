@@ -15,8 +15,9 @@ from textual.widgets import Input, Static
 from canopen_cli.live.braille import curve
 from canopen_cli.shared.screen import counted, node_text
 from canopen_cli.tui.rows import Rows, RowsColumn, cell
-from canopen_cli.tui.shown import DriveShown, LineKind, MachineShown, NodePlace, ObjectPlace, ReadObject, TrafficLine
+from canopen_cli.tui.shown import DriveShown, MachineShown, NodePlace, ObjectPlace, ReadObject
 from canopen_gateway.plain_data import NOT_HEARD, Plain, place_text
+from canopen_gateway.traffic import FeedRow
 from canopen_master.plain_text import clean
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.objects import Variable
@@ -334,7 +335,7 @@ class TrafficView(Pane):
     def on_mount(self) -> None:
         """All lines go by at first."""
         self.only_findings = False
-        self.held: tuple[TrafficLine, ...] | None = None
+        self.held: tuple[FeedRow, ...] | None = None
         self._back = 0
         self._machine = MachineShown()
 
@@ -374,8 +375,8 @@ class TrafficView(Pane):
     def _wanted(self) -> str:
         return self._line.value.strip().lower()
 
-    def _fits(self, line: TrafficLine) -> bool:
-        if self.only_findings and line.kind is not LineKind.FINDING:
+    def _fits(self, line: FeedRow) -> bool:
+        if self.only_findings and line.kind != "finding":
             return False
         wanted = self._wanted
         if wanted.isdecimal() and len(wanted) < 4:
@@ -459,9 +460,9 @@ class DrivesView(Pane):
 VIEWS: Final[Sequence[type[Pane]]] = (NodesView, ObjectsView, EventsView, ValuesView, TrafficView, DrivesView)
 
 
-def last_fitting(lines: Sequence[TrafficLine], fits: Callable[[TrafficLine], bool], count: int) -> list[TrafficLine]:
+def last_fitting(lines: Sequence[FeedRow], fits: Callable[[FeedRow], bool], count: int) -> list[FeedRow]:
     """Return the last lines that fit, oldest first."""
-    found: list[TrafficLine] = []
+    found: list[FeedRow] = []
     for each in reversed(lines):
         if fits(each):
             found.append(each)
@@ -470,11 +471,11 @@ def last_fitting(lines: Sequence[TrafficLine], fits: Callable[[TrafficLine], boo
     return found[::-1]
 
 
-def traffic_text(line: TrafficLine, width: int) -> Text:
+def traffic_text(line: FeedRow, width: int) -> Text:
     """Return a line of the traffic, cut at a width."""
-    if line.kind is LineKind.FINDING:
+    if line.kind == "finding":
         text = Text(f"! {line.text}", style=FINDING)
-    elif line.kind is LineKind.SUMMARY:
+    elif line.kind == "sum":
         of = f" of node {line.node_id}" if line.node_id else ""
         text = Text(f"= {line.service}{of}: {line.text}", style=SERVICE_STYLES.get(line.service.lower(), ""))
     else:

@@ -1,7 +1,7 @@
 """`TrafficFeed`: the frames of a bus in words, for one who looks at them: chosen, bounded, never in anybody's way.
 
 A bus brings thousands of frames a second, and a person reads some. So a feed keeps those that fit its wish until they are taken,
-MOST_ROWS at most; further ones are left out, and counted. What is wrong on the bus goes before frames: it has room of its own,
+`most` at most; further ones are left out, and counted. What is wrong on the bus goes before frames: it has room of its own,
 and passes each choice of services.
 """
 
@@ -20,7 +20,7 @@ from canopen_proto.observer.observer import Observation
 from canopen_proto.observer.sequences import Summary
 
 MOST_ROWS: Final = 40
-"""Frames that wait for one who looks; as many findings and sums besides."""
+"""Frames that wait for one who looks, unless he wants more; as many findings and sums besides."""
 MOST_TEXT: Final = 400
 """Characters of a frame in words."""
 MOST_SERVICES: Final = 20
@@ -66,8 +66,9 @@ class TrafficFeed:
     """See this module's text; made by `NetTraffic.watch`. seen: frames that have passed. fitting: those that fit the wish.
     left_out: those of these, and of the findings, that found no room."""
 
-    def __init__(self, wish: FrameWish) -> None:
+    def __init__(self, wish: FrameWish, most: int = MOST_ROWS) -> None:
         self.wish = wish
+        self._most = most
         self.seen = self.fitting = self.left_out = 0
         self._frames: deque[tuple[Time, Frame, Observation]] = deque()
         self._others: deque[FeedRow] = deque()
@@ -91,7 +92,7 @@ class TrafficFeed:
         is_part = observation.is_part and meaning.service == "LSS" and not findings  # its sum follows
         if not is_part and self.wish.fits(meaning.service, meaning.node_id, *(each.node_id for each in findings)):
             self.fitting += 1
-            if len(self._frames) < MOST_ROWS:
+            if len(self._frames) < self._most:
                 self._frames.append((time, frame, observation))
             else:
                 self.left_out += 1
@@ -110,7 +111,7 @@ class TrafficFeed:
             self._add_other(FeedRow("sum", time / SECOND, "", summary.service, summary.node_id, text))
 
     def _add_other(self, row: FeedRow) -> None:
-        if len(self._others) < MOST_ROWS:
+        if len(self._others) < self._most:
             self._others.append(row)
         else:
             self.left_out += 1

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import trio
 
-from canopen_gateway.traffic.feed import FeedRow, FrameWish, TrafficFeed, finding_row
+from canopen_gateway.traffic.feed import MOST_ROWS, FeedRow, FrameWish, TrafficFeed, finding_row
 from canopen_gateway.traffic.pdos import exchanged_pdos, nodes_of
 from canopen_gateway.traffic.ring import CAPACITY, FrameRing, PassedFrame
 from canopen_master import Master
@@ -109,9 +109,9 @@ class NetTraffic:
         self._end_listening()
 
     @contextmanager
-    def watch(self, wish: FrameWish) -> Iterator[TrafficFeed]:
-        """Fill a feed while the block runs."""
-        feed = TrafficFeed(wish)
+    def watch(self, wish: FrameWish, most: int = MOST_ROWS) -> Iterator[TrafficFeed]:
+        """Fill a feed while the block runs. most: frames that wait in it; as many findings and sums besides."""
+        feed = TrafficFeed(wish, most)
         self._feeds.append(feed)
         try:
             yield feed
