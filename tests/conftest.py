@@ -87,8 +87,8 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Two processes more than there are processors: a third of the time goes to waiting for commands, terminals and sockets."""
-    return processors() + 2
+    """Four processes more than there are processors: half of the time goes to waiting for commands, terminals and sockets."""
+    return processors() + 4
 
 
 def pytest_configure(config: pytest.Config) -> None:

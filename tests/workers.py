@@ -12,7 +12,9 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 
 WAITING = (
+    "gateway/test_assistant.py",
     "gateway/test_fleet.py",
+    "gateway/test_fleet_web.py",
     "gateway/test_mqtt.py",
     "cli/test_tui.py",
     "master/test_blocking_threads.py",
@@ -30,6 +32,8 @@ WAITING = (
     "master/test_blocking_script.py",
     "master/test_left_loops.py",
     "cli/test_demos.py",
+    "test_start_script_page.py",
+    "gateway/test_fleet_twins.py",
     "master/test_direct.py",
     "test_blocking_page.py",
     "interop/test_wireshark_captures.py",

@@ -25,10 +25,9 @@ from canopen_gateway.history.rows import SAMPLE, HistoryRow, exact, plain
 from canopen_gateway.history.writer import NS_OF_HOUR, HistoryWriter
 from canopen_proto.datatypes import DataType, Value, decode, size_of
 from tests.examples import examples, takes_all
-from tests.gateway.history_world import BEGIN, SECOND, Clock, asked
+from tests.gateway.history_world import BEGIN, SECOND, Clock, asked, needs_history
 
-pytest.importorskip("pyarrow", reason="the extra history is not installed")
-pytest.importorskip("duckdb", reason="the extra history is not installed")
+pytestmark = needs_history
 
 FIVE = FleetPlace("hall", "arm", 5)
 SIX = FIVE._replace(node_id=6)

@@ -19,11 +19,10 @@ from canopen_master import DeviceModel
 from canopen_proto.datatypes import DataType
 from canopen_proto.nmt import NmtState
 from tests.gateway.fleet_world import BUS, SITE, fleet, real_time, seen
-from tests.gateway.history_world import BEGIN, SECOND, Clock, asked
+from tests.gateway.history_world import BEGIN, SECOND, Clock, asked, needs_history
 
-pytest.importorskip("pyarrow", reason="the extra history is not installed")
-pytest.importorskip("duckdb", reason="the extra history is not installed")
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
+pytestmark = needs_history
 
 PLACE = FleetPlace("hall", "arm", 5)
 ONE, OTHER = b"1" * 8, b"2" * 8

@@ -12,6 +12,7 @@ import trio
 
 from canopen_data.eds.reader import read_eds
 from canopen_gateway import LeaseError
+from canopen_gateway import commissioning as commissioning_of_the_door
 from canopen_gateway.commissioning import MANY, PAUSE, paced
 from canopen_gateway.lease import HALT_TIME, LEASE_TIME
 from canopen_master import Host
@@ -20,6 +21,7 @@ from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402.objects import PROFILE_DECELERATION, QUICK_STOP_DECELERATION
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import SECOND
+from canopen_proto.manager.parameters.backup import back_up
 from canopen_proto.procedures.objects import read
 from tests.gateway.test_lease import is_moving
 from tests.gateway.web_world import PageClient, WebWorld, web
@@ -95,6 +97,14 @@ async def commissioning(
         person.lives = False
 
 
+@pytest.fixture
+def short_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Little of what the drive holds is read before it moves: to ask for all objects takes longer than what is tested here."""
+    monkeypatch.setattr(
+        commissioning_of_the_door, "back_up_by_names", lambda node, names: back_up(node, names, only=[*names][:20])
+    )
+
+
 def has_power(host: Host, node_id: int = 3) -> bool:
     drive = next(each for each in drives(host) if each.node_id == node_id).drive
     return drive.state in (State.OPERATION_ENABLED, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE)
@@ -118,6 +128,7 @@ async def test_from_the_box_to_the_first_move_and_two_files() -> None:
         assert pulse["lease"]["owner"] is not None
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 async def test_a_name_that_is_taken_is_told_as_it_becomes(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = parse_machine(f'[buses."{BUS}"]\nlocator = "{BUS}"\n[nodes]\nelbow = {{ id = 9 }}\n')
@@ -180,6 +191,7 @@ async def test_without_permission_or_lease_nothing_begins() -> None:
         assert "lease" in (await other.heard("error"))["text"]
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 async def test_a_drive_that_a_chain_uses_is_not_commissioned_and_its_units_stay() -> None:
     async with web(3, 4, allow="motion", beats=False) as world:
@@ -209,6 +221,7 @@ async def moving(world: WebWorld, person: Person) -> None:
 FAR = {**ANSWERS, "To which position": 60}
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 async def test_a_hung_client_halts_what_it_has_begun() -> None:
     async with web(3, allow="motion", beats=False) as world, commissioning(world, answers=FAR) as person:
@@ -222,6 +235,7 @@ async def test_a_hung_client_halts_what_it_has_begun() -> None:
         assert (await world.get("/lease"))["owner"] is None
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 @pytest.mark.parametrize("by", ["the client", "somebody's halt"])
 async def test_nobody_takes_the_lease_while_the_drive_still_brakes(by: str) -> None:
@@ -250,6 +264,7 @@ async def test_nobody_takes_the_lease_while_the_drive_still_brakes(by: str) -> N
             assert not has_power(world.host)
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 async def test_a_drive_that_does_not_brake_keeps_the_lease_for_a_time_only_and_is_told() -> None:
     async with web(3, allow="motion", beats=False) as world, commissioning(world, answers=FAR) as person:
@@ -267,6 +282,7 @@ async def test_a_drive_that_does_not_brake_keeps_the_lease_for_a_time_only_and_i
         assert "did not confirm within 5 s that it stands" in lease.problem
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 async def test_a_drive_that_falls_silent_behind_a_stop_is_told_to_whoever_takes_the_lease_next() -> None:
     async with web(3, allow="motion", beats=False) as world, commissioning(world, answers=FAR) as person:
@@ -294,6 +310,7 @@ async def test_a_drive_that_falls_silent_behind_a_stop_is_told_to_whoever_takes_
         network.attach(drives(world.host)[0])
 
 
+@pytest.mark.usefixtures("short_reading")
 @virtual_time
 async def test_anybody_halts_it_and_the_lease_ends() -> None:
     async with web(3, allow="motion", beats=False) as world, commissioning(world, answers=FAR) as person:
