@@ -22,7 +22,7 @@ A Network also remembers what it last heard from each node (bus_knowledge.py), s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
@@ -210,7 +210,9 @@ class Network:
         if now < self._now:
             now = self._now
         self._now = now
-        out, lone, times, frames, reactions = self.out, self._lone, self._times, self._frames, self._reactions
+        out, lone, frames, reactions = self.out, self._lone, self._frames, self._reactions
+        times: list[Any] = self._times
+        time: Any = now  # compiled, a number would be put into a new object for each frame
         root, events, routes, costs = out.root, out.events, self._routes, FRAME_BITS
         root.quiet = self.quiet and not events and self._nobody_waits()
         bits, mark = 0, len(events)
@@ -259,7 +261,7 @@ class Network:
                         settled = self._settled
                     mark = settled
                 if key < SLOTS:
-                    times[key] = now
+                    times[key] = time
                     frames[key] = frame
                 else:
                     self._knowledge.other = now

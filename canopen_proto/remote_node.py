@@ -686,14 +686,19 @@ class _PdoEntrance(Entrance):
         self._root = self.out.root
         self._heard_at = node.heard_at
         self._listeners = node._listeners
+        store = consumer.store
+        muxes: tuple[Any, ...] = consumer.mapping.muxes
+        for each in muxes:
+            if each in store:
+                store[each] = store.pop(each)  # its key is this very object from now on, and need not be compared
 
     def receive(self, frame: Frame, now: Time) -> None:
         consumer, data = self._consumer, frame.data
-        mapping, layout = consumer.mapping, consumer.at_once
-        if layout is None or len(data) != mapping.byte_length:
+        mapping, unpack = consumer.mapping, consumer.at_once
+        if unpack is None or len(data) != mapping.byte_length:
             super().receive(frame, now)
             return
-        values = layout.unpack(data)
+        values = unpack(data)
         store, heard_at = consumer.store, self._heard_at
         muxes: tuple[Any, ...] = mapping.muxes  # Any: compiled, a number would be put into a new object for each entry
         time: Any = now

@@ -27,8 +27,7 @@ Left out: the inhibit time of an RPDO, to which the standard gives no meaning.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, TypeVar, overload
 
 from canopen_proto.datatypes import Value, ValueRangeError
@@ -184,7 +183,7 @@ class PdoConsumer(Machine):
         self.number = number
         self.store = store
         self.enabled = False
-        self.at_once: struct.Struct | None = None
+        self.at_once: Callable[[bytes], tuple[Any, ...]] | None = None
         self.key: RoutingKey | None = None
         self._held: bytes | None = None  # the data that wait for a SYNC
         self._held_timestamp: int | None = None
@@ -224,7 +223,8 @@ class PdoConsumer(Machine):
 
     def _renew(self) -> None:
         is_usual = self.is_live and not self.synchronous and not self.event_time
-        self.at_once = self.mapping.layout if is_usual else None
+        layout = self.mapping.layout
+        self.at_once = layout.unpack if is_usual and layout is not None else None
 
     def set_window(self, window: Time) -> None:
         """Set how long after a SYNC synchronous PDOs are accepted. window: ns; 0 = until the next SYNC. Holds from the next SYNC

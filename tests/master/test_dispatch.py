@@ -13,7 +13,7 @@ from canopen_master.participant.dispatch import Dispatcher
 from canopen_master.participant.subscription import Subscription
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
-from canopen_proto.network import Network
+from canopen_proto.network import EventsDropped, Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports import open_transport
@@ -94,6 +94,28 @@ def test_whoever_was_unwatched_by_what_an_event_caused_never_is_told_this_event(
             events = [NodeBooted(1, 0), NodeBooted(2, 0)]
             dispatcher.dispatch(bus, events)
             assert (told, third) == ([], events)
+
+    run(main)
+
+
+def test_whoever_begins_or_ends_to_watch_in_the_middle_of_a_burst_is_told_accordingly_of_the_rest() -> None:
+    async def main() -> None:
+        async with await open_transport("virtual:dispatch") as transport:
+            bus, dispatcher = Bus("bus", transport, Network()), Dispatcher()
+            told: list[Event] = []
+            queue: Subscription[Any] = Subscription(lambda _: None)
+
+            def change(event: Event) -> None:
+                if event is second:
+                    dispatcher.unwatch(watcher)
+                    dispatcher.watch((NodeBooted,), told.append)
+                    dispatcher.watch((Event,), queue.put, queue=queue.put_all)
+
+            watcher = dispatcher.watch((NodeBooted,), change)
+            first, second, third, other = NodeBooted(1, 0), NodeBooted(1, 1), NodeBooted(1, 2), EventsDropped(0, 1)
+            dispatcher.dispatch(bus, [first, second, third, other])
+            assert told == [third]
+            assert queue.take() == [third, other]
 
     run(main)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from typing import Any, TypeAlias, TypeVar
 
 from canopen_master.participant.bus import Bus
@@ -187,30 +188,26 @@ class Dispatcher:
         """Hand out events of a bus's network, in order. Calls all callbacks, then raises the first error of one."""
         failure: Exception | None = None
         by_kind = self._by_kind
-        place, count = 0, len(events)
-        while place < count:
-            event = events[place]
-            kind = type(event)
+        for kind, run in groupby(events, type):
             tell, watchers, only_queue = by_kind.get(kind) or self._told(kind)
-            place += 1
             if only_queue:  # a burst of them is handed over at once
-                begin = place - 1
-                while place < count and type(events[place]) is kind:
-                    place += 1
-                self._queue(bus, watchers, events if place - begin == count else events[begin:place])
+                self._queue(bus, watchers, list(run))
                 continue
-            if tell is not None:
-                try:
-                    tell(bus, event)
-                except Exception as error:  # noqa: BLE001 - raised below, when all have been told
-                    failure = failure or error
-            for watcher in watchers:
-                is_meant = not watcher.node_id or watcher.node_id == event.node_id
-                if (watcher.bus is None or watcher.bus is bus) and is_meant and watcher.is_on:
+            for event in run:
+                if not by_kind:  # what the event before has caused changed who watches
+                    watchers = self._told(kind)[1]
+                if tell is not None:
                     try:
-                        watcher.callback(event)
+                        tell(bus, event)
                     except Exception as error:  # noqa: BLE001 - raised below, when all have been told
                         failure = failure or error
+                for watcher in watchers:
+                    number = watcher.node_id
+                    if (watcher.bus is None or watcher.bus is bus) and watcher.is_on and (not number or number == event.node_id):
+                        try:
+                            watcher.callback(event)
+                        except Exception as error:  # noqa: BLE001 - raised below, when all have been told
+                            failure = failure or error
         if failure is not None:
             raise failure
 

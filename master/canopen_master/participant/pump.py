@@ -96,8 +96,11 @@ class Pump:
         self._wake: Time = NEVER  # what the alarm is set for
         self._is_pumping = False
         self._received = 0
-        self._networks = tuple(bus.network for bus in self.buses)
-        self._outs = tuple((bus, bus.network.out) for bus in self.buses)
+        outs = [bus.network.out for bus in self.buses]
+        self._said = tuple((bus, out.frames, out.events) for bus, out in zip(self.buses, outs, strict=True))
+        self._left = tuple(each for out in outs for each in (out.frames, out.events, out.armed, out.rerouted))
+        deadlines = [bus.network.next_deadline for bus in self.buses]
+        self._next_deadline = deadlines[0] if len(deadlines) == 1 else lambda: min([each() for each in deadlines])
         self._clock = self._loop.clock()
         self._running = _pumps.get()
         self._filtered = tuple(bus for bus in self.buses if bus.is_filtered)
@@ -119,8 +122,8 @@ class Pump:
             busy = True
             while busy:
                 busy = False
-                for bus, out in self._outs:
-                    if out.frames or out.events:
+                for bus, frames, events in self._said:
+                    if frames or events:
                         busy = True
                         self._take(bus, now)
         finally:
@@ -180,11 +183,9 @@ class Pump:
             end_looks()
 
     def _look(self, timeout: float | None) -> None:
-        """Look at the machines before the loop sleeps; costs some 0.3 us each time."""
-        for _, out in self._outs:
-            if out.frames or out.events or out.armed or out.rerouted:
-                self._token.run_sync_soon(self.pump, idempotent=True)  # which ends this sleep at once
-                return
+        """Look at the machines before the loop sleeps."""
+        if any(self._left):
+            self._token.run_sync_soon(self.pump, idempotent=True)  # which ends this sleep at once
 
     def _is_ending(self) -> bool:
         """Whether a call of a transport was cancelled by us.
@@ -317,14 +318,10 @@ class Pump:
 
     def _set_alarm(self) -> None:
         """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
-        # It also takes up what machines have announced
-        deadline = self._networks[0].next_deadline() if len(self._networks) == 1 else self._next_deadline()
+        deadline = self._next_deadline()  # it also takes up what machines have announced
         if deadline < self._wake and self._alarm is not None:
             self._wake = deadline
             self._alarm.set(deadline / SECOND)
-
-    def _next_deadline(self) -> Time:
-        return min([network.next_deadline() for network in self._networks])
 
     def _turn(self, mutate: Callable[..., object], *args: object) -> None:
         """Call something that mutates machines, then pump."""

@@ -7,7 +7,8 @@ queue is bounded: a slow reader loses the oldest events, which `dropped` counts,
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from operator import length_hint
 from typing import Final, Generic, TypeVar
 
 from canopen_proto.machine import Event
@@ -39,25 +40,18 @@ class Subscription(Generic[E]):
         self._events: deque[E] = deque()
         self._loop = current_loop()
         self._waiting = self._loop.parking_lot()
-        self._check = self._loop.checkpoint_if_cancelled
-        self._in_a_row = 0  # the events to take before the next checkpoint; never more than there are
+        self._at_hand: Iterator[E] = iter(())  # a burst, before all other events: it is taken without a checkpoint
         self._end: BaseException | None = None
 
     def put(self, event: E) -> None:
         """Add an event (the pump does)."""
-        events = self._events
-        if not events and self._waiting:
-            self._waiting.unpark_all()  # a reader waits only while there is no event
-        elif len(events) == self._size:
-            events.popleft()
-            self.dropped += 1
-        events.append(event)
+        self.put_all((event,))
 
     def put_all(self, new: Sequence[E]) -> None:
         """Add events, as `put` does one after the other. new: 1 or more."""
         events = self._events
-        if not events and self._waiting:
-            self._waiting.unpark_all()
+        if not events:
+            self._waiting.unpark_all()  # a reader waits only while there is no event
         events.extend(new)
         lost = len(events) - self._size
         if lost > 0:
@@ -75,14 +69,25 @@ class Subscription(Generic[E]):
 
         After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosedError at the end.
         """
-        if self._in_a_row:
-            await self._check()
-        elif self._events or self._end is not None:
+        await self._loop.checkpoint_if_cancelled()
+        for event in self._at_hand:
+            return event
+        return await self._next()
+
+    async def _next(self) -> E:
+        events = self._events
+        if events or self._end is not None:
             await self._loop.checkpoint()
-        if not self._events:
-            await self._wait()
-        self._in_a_row = (self._in_a_row or min(len(self._events), HANDED_OVER)) - 1
-        return self._events.popleft()
+        while True:
+            for event in self._at_hand:
+                return event
+            if events:
+                burst = self.take() if len(events) <= HANDED_OVER else [events.popleft() for _ in range(HANDED_OVER)]
+                self._at_hand = iter(burst)
+            elif self._end is not None:
+                raise self._end
+            else:
+                await self._waiting.park()
 
     def batches(self) -> Batches[E]:
         """Return an async iterator over lists of 1 event or more, each with all that have come since the last one: `async for
@@ -91,23 +96,18 @@ class Subscription(Generic[E]):
 
     async def receive_batch(self) -> list[E]:
         """Wait for the next event, and return all that are there. Ends as `receive` does."""
-        if self._events or self._end is not None:
+        if self._events or self._end is not None or length_hint(self._at_hand):
             await self._loop.checkpoint()
-        if not self._events:
-            await self._wait()
-        return self.take()
-
-    async def _wait(self) -> None:
-        while not self._events:
+        while not (taken := self.take()):
             if self._end is not None:
                 raise self._end
             await self._waiting.park()
+        return taken
 
     def take(self) -> list[E]:
         """Return all waiting events at once."""
-        taken = list(self._events)
+        taken = [*self._at_hand, *self._events]
         self._events.clear()
-        self._in_a_row = 0
         return taken
 
     def close(self) -> None:
@@ -130,10 +130,9 @@ class Subscription(Generic[E]):
         return self
 
     async def __anext__(self) -> E:
-        if self._in_a_row:  # most of the events of a burst come this way: they are there, and nothing is waited for
-            self._in_a_row -= 1
-            return self._events.popleft()
-        return await self.receive()
+        for event in self._at_hand:  # most of the events of a burst come this way: they are there, and nothing is waited for
+            return event
+        return await self._next()
 
 
 class Batches(Generic[E]):
@@ -145,5 +144,5 @@ class Batches(Generic[E]):
     def __aiter__(self) -> Batches[E]:
         return self
 
-    async def __anext__(self) -> list[E]:
-        return await self._subscription.receive_batch()
+    def __anext__(self) -> Awaitable[list[E]]:
+        return self._subscription.receive_batch()
