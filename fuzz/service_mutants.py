@@ -350,6 +350,23 @@ SERVICE_MUTANTS: Final = tuple(
             "a backup that met another client counts as complete",
             ("tests/manager/test_backup.py",),
         ),
+        # ---- EMCY ----
+        (
+            "stopped_tells_the_past",
+            "emcy.py",
+            "        self._drop_past()\n        if self._pending:",
+            "        if self._pending:",
+            "a node that leaves Stopped, or is reset, reports an error that it has no longer",
+            ("tests/core/test_emcy.py", "tests/core/test_error_behaviour.py"),
+        ),
+        (
+            "stopped_keeps_the_past",
+            "emcy.py",
+            "        if not self.enabled:\n            self._drop_past()",
+            "        if not self.enabled:\n            pass",
+            "errors that came and went in Stopped push out the one that is still there",
+            ("tests/core/test_emcy.py",),
+        ),
         # ---- PDO ----
         (
             "trigger_forgets_the_timer",
