@@ -435,8 +435,9 @@ class LocalNode(Group):
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
         self._serve(change.state, now)
-        left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
-        if left_operational:
+        # In pre-operational a device may be commanded by SDO: in STOPPED nobody can, and a reset ends its watch over the master
+        is_cut_off = change.previous is NmtState.PRE_OPERATIONAL and change.state is not NmtState.OPERATIONAL
+        if is_cut_off or change.previous is NmtState.OPERATIONAL:
             self.application.connection_lost(now, EMCY_COMMUNICATION)
 
     def _serve(self, state: NmtState, now: Time) -> None:

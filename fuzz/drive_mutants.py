@@ -83,6 +83,14 @@ DRIVE_MUTANTS: Final = tuple(
             (*LIMITS, "tests/master/test_path_motion.py"),
         ),
         (
+            "runs_on_in_pre_operational",
+            "local_node.py",
+            "        if is_cut_off or change.previous",
+            "        if change.previous",
+            "a drive that was commanded by SDO in Pre-operational runs on through NMT stop, and unwatched through a reset",
+            ("tests/drives/test_kill_table.py", "tests/core/test_application.py"),
+        ),
+        (
             "beyond_once_more",
             "drives/axis/target_sequence.py",
             "            start = start if known is None else known",

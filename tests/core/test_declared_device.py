@@ -309,7 +309,7 @@ def test_steps_keep_their_phase_and_begin_again_with_a_reset() -> None:
     bench.write(0x2000, 0, 50, 1)
     bench.tell(RESET_NODE)
     bench.wait(10)
-    assert device.log == ["limit 50", "start", "step 70"]
+    assert device.log == ["limit 50", "stop 8100", "start", "step 70"]
     assert device.limit == 100
 
 
