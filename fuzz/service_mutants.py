@@ -350,6 +350,14 @@ SERVICE_MUTANTS: Final = tuple(
             "a backup that met another client counts as complete",
             ("tests/manager/test_backup.py",),
         ),
+        (
+            "outputs_without_their_pdo",
+            "local_node.py",
+            "        self.application.connection_lost(now, report.emcy_code)\n",
+            "",
+            "the outputs of a device stay on though the PDO that commands them comes no more",
+            DEVICE_CODE,
+        ),
         # ---- EMCY ----
         (
             "stopped_tells_the_past",

@@ -136,7 +136,8 @@ class DeclaredDevice(Machine):
 
     def stop(self, error_code: int) -> None:
         """Bring the outputs to their safe state. error_code: why: the connection is lost (0x8130); Operational was left, or
-        Pre-operational by a stop or a reset (0x8100); or the device's own work failed (0x6200)."""
+        Pre-operational by a stop or a reset (0x8100); an RPDO did not come within its event time (0x8250); or the device's own
+        work failed (0x6200)."""
 
     # ---- what a device does ----
 
