@@ -191,12 +191,15 @@ class BusKnowledge:
         if control is not None:
             data = control.frame.data
             state = STATE_OF_BYTE[data[0]] if len(data) == 1 else None
-            is_boot_up = data == b"\x00"
+            is_boot_up = state is NmtState.INITIALISING  # whatever its toggle bit, as for `HeartbeatConsumer`
             signs.append((control.time, HeardService.BOOT_UP if is_boot_up else HeardService.HEARTBEAT))
             if is_boot_up:  # after it the node is pre-operational: CiA 301 v4.2.0, 7.2.8.3.3
                 state = NmtState.PRE_OPERATIONAL
+        emergency: EmcySeen | None = None
         if emcy is not None:
             signs.append((emcy.time, HeardService.EMCY))
+            if len(emcy.frame.data) >= 2:  # else it has no code; 0 would say that all errors are gone
+                emergency = EmcySeen(emcy.time, int.from_bytes(emcy.frame.data[:2], "little"))
         if answer is not None:
             signs.append((answer.time, HeardService.SDO))
         time, service = max(signs, key=lambda sign: sign[0], default=(None, None))
@@ -208,7 +211,7 @@ class BusKnowledge:
             service,
             state,
             control.time if control is not None and state is not None else None,
-            EmcySeen(emcy.time, int.from_bytes(emcy.frame.data[:2], "little")) if emcy is not None else None,
+            emergency,
             answer,
             self._unasked.get(node_id),
             self._late.get(node_id),

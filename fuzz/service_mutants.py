@@ -360,6 +360,14 @@ SERVICE_MUTANTS: Final = tuple(
         ),
         # ---- EMCY ----
         (
+            "half_a_code",
+            "bus_knowledge.py",
+            "            if len(emcy.frame.data) >= 2:  # else",
+            "            if True:  # else",
+            "an emergency that is too short to have a code tells that all errors are gone",
+            ("tests/core/test_bus_knowledge.py",),
+        ),
+        (
             "stopped_tells_the_past",
             "emcy.py",
             "        self._drop_past()\n        if self._pending:",
