@@ -358,6 +358,22 @@ SERVICE_MUTANTS: Final = tuple(
             "the outputs of a device stay on though the PDO that commands them comes no more",
             DEVICE_CODE,
         ),
+        (
+            "lost_though_no_longer_watched",
+            "local_node.py",
+            "        for node_id in self._errors.lost_nodes.difference(self.communication.monitors):\n",
+            "        for node_id in ():\n",
+            "a lost node that a device is told to watch no more stays an error for ever",
+            ("tests/core/test_error_account.py",),
+        ),
+        (
+            "boot_up_is_no_sign_of_life",
+            "heartbeat.py",
+            "        if self.timeout and self._begun and not self.lost:\n            self._arm(",
+            "        if False:\n            self._arm(",
+            "a node that is reset is lost before it had its time to send a heartbeat again",
+            ("tests/core/test_error_account.py",),
+        ),
         # ---- EMCY ----
         (
             "half_a_code",
