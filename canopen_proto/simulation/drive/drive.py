@@ -555,6 +555,12 @@ class LateDrive(Drive):
             self._late.append((now + self.settings.reaction, key, value))
             self._schedule()
 
+    def connection_lost(self, now: Time, error_code: int) -> None:
+        """Act as `Drive` does, and obey no controlword from before: it would enable the drive again, with nobody to stop it."""
+        if self._servo.parameter(objects.ABORT_CONNECTION_OPTION_CODE):
+            self._late = deque(late for late in self._late if late[1] != objects.CONTROLWORD)
+        super().connection_lost(now, error_code)
+
     def _advance(self, now: Time) -> None:
         while not self._obeys and self._late and self._late[0][0] <= now:
             self._obey(*self._late.popleft())
