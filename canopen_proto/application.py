@@ -42,7 +42,8 @@ class Application(Protocol):
 
     def connection_lost(self, now: Time, error_code: int) -> None:
         """Act on a lost connection: a heartbeat or the guarding of the node was lost, or CAN was off the bus (0x8130), or the
-        node was taken out of Operational (0x8100). error_code: to report, if this is a fault."""
+        node was taken out of Operational, or out of Pre-operational by a stop or a reset (0x8100), or an RPDO did not come
+        within its event time (0x8250). error_code: to report, if this is a fault."""
 
     def reset(self, now: Time) -> None:
         """Start as at power-on: the values have their defaults again."""

@@ -16,7 +16,8 @@ The frames alone do not show three things, which come from our SDO clients or fo
 - an answer that came for none of our requests (`unasked_answer`): another client asks this node, or two devices have its node-ID;
 - a second answer to one request, with another value (`second_answer`): two devices have its node-ID;
 - an answer that came after the request had timed out (`late_answer`): the time limit was too short;
-- requests of other clients (`foreign_request`): any frame to 0x600 + node-ID, since we do not receive our own frames.
+- requests of other clients (`foreign_request`): any frame to 0x600 + node-ID, since we do not receive our own frames;
+- the last command of another NMT master (`foreign_command`), if it is for this node or for all.
 
 Left out: 29-bit CAN-IDs and remote frames (only the time of the last one is kept), and all frames of our own machines. If a
 transport filters frames (`hears_all` is False), a node that was not heard may still be there.
@@ -32,6 +33,7 @@ from canopen_proto.frame import (
     EMCY,
     ERROR_CONTROL,
     MAX_NODE_ID,
+    NMT,
     SDO_CLIENT_TO_SERVER,
     SDO_SERVER_TO_CLIENT,
     TPDOS,
@@ -105,6 +107,7 @@ class NodeHeard(NamedTuple):
     foreign_request: Seen | None
     pdo: Seen | None
     second_answer: Seen | None = None
+    foreign_command: Seen | None = None
 
 
 class BusKnowledge:
@@ -188,15 +191,19 @@ class BusKnowledge:
         if control is not None:
             data = control.frame.data
             state = STATE_OF_BYTE[data[0]] if len(data) == 1 else None
-            is_boot_up = data == b"\x00"
+            is_boot_up = state is NmtState.INITIALISING  # whatever its toggle bit, as for `HeartbeatConsumer`
             signs.append((control.time, HeardService.BOOT_UP if is_boot_up else HeardService.HEARTBEAT))
             if is_boot_up:  # after it the node is pre-operational: CiA 301 v4.2.0, 7.2.8.3.3
                 state = NmtState.PRE_OPERATIONAL
+        emergency: EmcySeen | None = None
         if emcy is not None:
             signs.append((emcy.time, HeardService.EMCY))
+            if len(emcy.frame.data) >= 2:  # else it has no code; 0 would say that all errors are gone
+                emergency = EmcySeen(emcy.time, int.from_bytes(emcy.frame.data[:2], "little"))
         if answer is not None:
             signs.append((answer.time, HeardService.SDO))
         time, service = max(signs, key=lambda sign: sign[0], default=(None, None))
+        command = self._seen(NMT)
         pdos = [seen for base in TPDOS if (seen := self._seen(base + node_id)) is not None]
         return NodeHeard(
             node_id,
@@ -204,13 +211,14 @@ class BusKnowledge:
             service,
             state,
             control.time if control is not None and state is not None else None,
-            EmcySeen(emcy.time, int.from_bytes(emcy.frame.data[:2], "little")) if emcy is not None else None,
+            emergency,
             answer,
             self._unasked.get(node_id),
             self._late.get(node_id),
             self._seen(SDO_CLIENT_TO_SERVER + node_id),
             max(pdos, key=lambda seen: seen.time, default=None),
             self._second.get(node_id),
+            command if command is not None and command.frame.data[1:] in (b"\x00", bytes((node_id,))) else None,
         )
 
     def _seen(self, can_id: int) -> Seen | None:

@@ -15,8 +15,9 @@ The frame for the end of one error among several is optional (transition 2) and 
 well".
 
 A frame that may not be sent yet waits in a bounded queue until the inhibit time (0x1015) is over, or until EMCY is enabled again
-(`set_enabled`; in STOPPED it is not). Of the frames that waited in STOPPED only the most recent is sent, as 7.3.2.2.4 says: each
-frame carries the whole register, and 0x1003 has the rest. If the queue is full, the oldest frame is dropped and reported.
+(`set_enabled`; in STOPPED it is not). Of what waited in STOPPED only the most recent error that is still present is sent, as
+7.3.2.2.4 says, with the register as it is then; 0x1003 has the rest. If none is present any more, the frame for their end is
+sent. If the queue is full, the oldest frame is dropped and reported.
 
 `EmcyConsumer` reports each frame with its text. A frame that is too short but has the error code is filled up with zeros.
 """
@@ -116,7 +117,7 @@ class EmcyProducer(Machine):
         self.inhibit_time: Time = 0
         self.enabled = True
         self._active: dict[int, int] = {}  # history entry -> its bits in the error register, oldest first
-        self._pending: deque[bytes] = deque()
+        self._pending: deque[tuple[int, bytes]] = deque()  # the error, as in the history, and its frame
         self._next_free: Time = -NEVER  # until then, the inhibit time of the last frame runs
 
     @property
@@ -146,7 +147,7 @@ class EmcyProducer(Machine):
         self._active[error] = register_bits | _GENERIC_BIT
         self.error_register |= register_bits | _GENERIC_BIT
         self.history.appendleft(error)
-        self._tell(_MESSAGE.pack(code, self.error_register, vendor_data), now)
+        self._tell(error, _MESSAGE.pack(code, self.error_register, vendor_data), now)
 
     def clear(self, code: int, now: Time, additional_info: int = 0) -> None:
         """Remove an error: the register loses the bits that no other error has. With the last error, code 0x0000 is sent. code,
@@ -162,7 +163,7 @@ class EmcyProducer(Machine):
         for bits in self._active.values():
             self.error_register |= bits
         if not self._active:
-            self._tell(_MESSAGE.pack(NO_ERROR, 0, b""), now)
+            self._tell(NO_ERROR, _MESSAGE.pack(NO_ERROR, 0, b""), now)
 
     def clear_history(self) -> None:
         """Forget the history, as writing 0 to 0x1003:00 does. The errors themselves stay. CiA 301 v4.2.0, 7.5.2.4"""
@@ -199,39 +200,50 @@ class EmcyProducer(Machine):
         self.inhibit_time = inhibit_time
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Set whether the node's NMT state allows EMCY. When it does again, the most recent of the waiting frames is sent.
+        """Set whether the node's NMT state allows EMCY. When it does again, the most recent of the waiting frames that is still
+        true is sent.
 
-        Event: EmcySent. CiA 301 v4.2.0, 7.3.2.2.4
+        Event: EmcySent. CiA 301 v4.2.0, 7.3.2.2.4 ("the most recent active EMCY reason")
         """
         if enabled == self.enabled:
             return
         self.enabled = enabled
         if not enabled:
             self._arm(NEVER)
-        elif self._pending:
-            newest = self._pending.pop()
+            return
+        self._drop_past()
+        if self._pending:
+            error, newest = self._pending.pop()
             self._pending.clear()
-            self._tell(newest, now)
+            code, _, vendor_data = _MESSAGE.unpack(newest)
+            self._tell(error, _MESSAGE.pack(code, self.error_register, vendor_data), now)
 
     def handle_timeout(self, now: Time) -> None:
         """Send the next frame that waits: the inhibit time is over. Send only one, however late."""
         if now < self.deadline:
             return
-        self._send(self._pending.popleft(), now)
+        self._send(self._pending.popleft()[1], now)
         self._arm(self._next_free if self._pending else NEVER)
 
-    def _tell(self, message: bytes, now: Time) -> None:
-        """Send a frame now, or queue it after those that wait already."""
+    def _tell(self, error: int, message: bytes, now: Time) -> None:
+        """Send the frame of an error now, or queue it after those that wait already."""
         if self.key is None:
             return
+        if not self.enabled:
+            self._drop_past()
         if self.enabled and not self._pending and now >= self._next_free:
             self._send(message, now)
             return
         if len(self._pending) == MAX_PENDING:
-            self.out.events.append(EmcyDropped(self.node_id, _MESSAGE.unpack(self._pending.popleft())[0]))
-        self._pending.append(message)
+            self.out.events.append(EmcyDropped(self.node_id, _MESSAGE.unpack(self._pending.popleft()[1])[0]))
+        self._pending.append((error, message))
         if self.enabled:
             self._arm(self._next_free)
+
+    def _drop_past(self) -> None:
+        """Drop the waiting frames about errors that are gone, and of an end of all errors if there are new ones."""
+        present = self._active or (NO_ERROR,)
+        self._pending = deque(each for each in self._pending if each[0] in present)
 
     def _send(self, message: bytes, now: Time) -> None:
         assert self.key is not None  # without a COB-ID no frame is queued

@@ -20,7 +20,8 @@ The reactions:
     heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); behaviour of 0x1029, by default
                                pre-operational
     life guarding lost         the same, without a node-ID
-    PDO too short, or overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack
+    PDO too short, or overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack; the
+                               application is told of an overdue one
     PDO too long               it is used; EMCY 0x8220 if that is wanted (`optional_emcy`); likewise 0x8240 for a SYNC's length
     remote request of a TPDO   the application updates its values, and the TPDO is sent
     an error of the device     EMCY, 0x1001 and 0x1003; behaviour of 0x1029 if it has the class of the error
@@ -134,7 +135,7 @@ class LocalNode(Group):
                 SyncSent: self._on_sync,
                 PdoReceived: self._on_pdo,
                 PdoLengthUnexpected: self._on_length_error,
-                PdoOverdue: self._on_pdo_error,
+                PdoOverdue: self._on_pdo_overdue,
                 MpdoReceived: self._on_mpdo,
                 MpdoNotProcessed: self._on_pdo_error,
                 SyncLengthUnexpected: self._on_sync_length,
@@ -435,8 +436,9 @@ class LocalNode(Group):
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
         self._serve(change.state, now)
-        left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
-        if left_operational:
+        # In pre-operational a device may be commanded by SDO: in STOPPED nobody can, and a reset ends its watch over the master
+        is_cut_off = change.previous is NmtState.PRE_OPERATIONAL and change.state is not NmtState.OPERATIONAL
+        if is_cut_off or change.previous is NmtState.OPERATIONAL:
             self.application.connection_lost(now, EMCY_COMMUNICATION)
 
     def _serve(self, state: NmtState, now: Time) -> None:
@@ -489,6 +491,11 @@ class LocalNode(Group):
 
     def _on_pdo_error(self, report: PdoLengthUnexpected | PdoOverdue | MpdoNotProcessed, now: Time) -> None:
         self._errors.rpdo_failed(report.number, report.emcy_code, now)
+
+    def _on_pdo_overdue(self, report: PdoOverdue, now: Time) -> None:
+        """Tell the application, too: "an indication to the local application". CiA 301 v4.2.0, 7.5.2.35, sub 5 (from memory)"""
+        self._on_pdo_error(report, now)
+        self.application.connection_lost(now, report.emcy_code)
 
     def _on_sync_length(self, report: SyncLengthUnexpected, now: Time) -> None:
         if EMCY_SYNC_LENGTH in self.optional_emcy and self.nmt.allows(Service.SYNC):

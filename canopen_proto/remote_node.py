@@ -78,7 +78,6 @@ class RemoteNode(Group):
 
     __slots__ = (
         "_boot_listeners",
-        "_commanded_at",
         "_decoded",
         "_in_doubt",
         "_listeners",
@@ -90,6 +89,7 @@ class RemoteNode(Group):
         "booted_at",
         "boots",
         "commanded",
+        "commanded_at",
         "dictionary",
         "emcy",
         "foreign_writes",
@@ -131,7 +131,7 @@ class RemoteNode(Group):
         self.boots = 0  # how often its boot-up was heard
         self.booted_at: Time = -NEVER  # when it was heard last
         self.last_sync: Time | None = None
-        self._commanded_at: Time = -NEVER
+        self.commanded_at: Time = -NEVER  # when we commanded its NMT state last
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
         self.sdo_channels: list[SdoClient] = []
         self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
@@ -543,7 +543,7 @@ class RemoteNode(Group):
                 listener(now)
 
     def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
-        self._commanded_at = now
+        self.commanded_at = now
         self._enter(target_of(command), now)
 
     def _enter(self, state: NmtState, now: Time) -> None:
@@ -590,7 +590,7 @@ class RemoteNode(Group):
         self._enter_heard(report.state, now)
 
     def _enter_heard(self, state: NmtState, now: Time) -> None:
-        if state is not self.nmt_state and now >= self._commanded_at + NMT_REACTION_TIME:
+        if state is not self.nmt_state and now >= self.commanded_at + NMT_REACTION_TIME:
             self._enter(state, now)
 
     def _heard(self, muxes: Collection[Mux], now: Time) -> None:

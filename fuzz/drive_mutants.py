@@ -83,6 +83,22 @@ DRIVE_MUTANTS: Final = tuple(
             (*LIMITS, "tests/master/test_path_motion.py"),
         ),
         (
+            "late_enable_behind_the_stop",
+            "simulation/drive/drive.py",
+            "            self._late = deque(late for late in self._late if late[1] != objects.CONTROLWORD)\n",
+            "            pass\n",
+            "a simulated drive that obeys late is enabled behind NMT stop, and runs with nobody to stop it",
+            ("tests/simulation/test_drive_states.py",),
+        ),
+        (
+            "runs_on_in_pre_operational",
+            "local_node.py",
+            "        if is_cut_off or change.previous",
+            "        if change.previous",
+            "a drive that was commanded by SDO in Pre-operational runs on through NMT stop, and unwatched through a reset",
+            ("tests/drives/test_kill_table.py", "tests/core/test_application.py"),
+        ),
+        (
             "beyond_once_more",
             "drives/axis/target_sequence.py",
             "            start = start if known is None else known",

@@ -34,6 +34,14 @@ MASTER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
         (
+            "old_foreign_command",
+            "canopen_master/silence.py",
+            "or command.time <= since:",
+            "or command.time <= 0:",
+            "a node counts as stopped by another master though its heartbeat, or we, have said otherwise since",
+            ("tests/master/test_silence.py",),
+        ),
+        (
             "patience_for_ever",
             "canopen_master/motion/path_motion.py",
             "            if not scope.cancelled_caught or self._went_on > since:",

@@ -135,8 +135,9 @@ class DeclaredDevice(Machine):
         """Act on a SYNC: what the synchronous RPDOs brought has been written, the TPDOs of this SYNC are sent."""
 
     def stop(self, error_code: int) -> None:
-        """Bring the outputs to their safe state. error_code: why: the connection is lost (0x8130), Operational was left (0x8100),
-        or the device's own work failed (0x6200)."""
+        """Bring the outputs to their safe state. error_code: why: the connection is lost (0x8130); Operational was left, or
+        Pre-operational by a stop or a reset (0x8100); an RPDO did not come within its event time (0x8250); or the device's own
+        work failed (0x6200)."""
 
     # ---- what a device does ----
 

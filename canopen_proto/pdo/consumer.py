@@ -185,6 +185,9 @@ class PdoConsumer(Machine):
         self.enabled = False
         self.at_once: Callable[[bytes], tuple[Any, ...]] | None = None
         self.key: RoutingKey | None = None
+        self.mapping = mapping
+        self.synchronous = transmission_type <= LAST_SYNCHRONOUS
+        self.event_time = event_time
         self._held: bytes | None = None  # the data that wait for a SYNC
         self._held_timestamp: int | None = None
         self._window: Time = 0
@@ -201,17 +204,24 @@ class PdoConsumer(Machine):
     def configure(
         self, key: RoutingKey | None, mapping: Mapping, transmission_type: int = EVENT_DRIVEN, event_time: Time = 0
     ) -> None:
-        """Change the parameters. Data held for a SYNC are dropped, because they belong to the old mapping. For what they mean see
-        the class."""
-        self.mapping = mapping
-        self.synchronous = transmission_type <= LAST_SYNCHRONOUS
-        self.event_time = event_time
+        """Change the parameters. For what they mean see the class.
+
+        Data held for a SYNC are dropped if CAN-ID, mapping or the way of acting change. Another event time is watched from the
+        next PDO on; the same one goes on. CiA 301 v4.2.0, 7.5.2.35, sub 5
+        """
         if not mapping.entries:
             key = None  # "mapping disabled"
+        synchronous = transmission_type <= LAST_SYNCHRONOUS
+        if key is None or key != self.key or mapping != self.mapping or synchronous != self.synchronous:
+            self._forget()
+        elif event_time != self.event_time:
+            self._arm(NEVER)
+        self.mapping = mapping
+        self.synchronous = synchronous
+        self.event_time = event_time
         if key != self.key:
             self.key = key
             self._reroute()
-        self._forget()
         self._renew()
 
     def set_enabled(self, enabled: bool, now: Time) -> None:

@@ -342,9 +342,14 @@ class MpdoProducer(Machine):
         if key is not None and mode is MpdoMode.DESTINATION:
             self._destinations[number] = key
         if key is not None and mode is MpdoMode.SOURCE:
+            before = (self._source, self._inhibit_time)
+            is_other_timer = event_time != self._event_time
             self._source = (number, key)
             self._inhibit_time, self._event_time = inhibit_time, event_time
-            self._restart(now)
+            if before != (self._source, inhibit_time):
+                self._restart(now)
+            elif is_other_timer:
+                self._start_timer(now)  # what waits is sent: nothing else would tell of it
         elif was_source:
             self._source = None
             self._restart(now)
@@ -422,6 +427,9 @@ class MpdoProducer(Machine):
         self.has_source = self.enabled and self._source is not None
         self._pending.clear()
         self._inhibited_until = now
+        self._start_timer(now)
+
+    def _start_timer(self, now: Time) -> None:
         self._event_due = now + self._event_time if self.has_source and self._event_time else NEVER
         self._rearm()
 

@@ -124,10 +124,15 @@ class PdoProducer(Machine):
         self.store = store
         self.enabled = False
         self.key: RoutingKey | None = None
+        self.mapping = mapping
+        self.transmission_type = transmission_type
+        self.inhibit_time = inhibit_time
+        self.event_time = event_time
+        self.sync_start = sync_start
         self.answers_requests = False
         self.sent_at: Time | None = None
         self._sample: bytes | None = None  # type 252: the data of the last SYNC
-        self._triggered = False  # type 0: waits for the next SYNC
+        self._triggered = False  # waits: for the next SYNC (type 0), for the end of the inhibit time
         self._syncs = 0  # since the last transmission
         self._awaits_start = False  # waits for the SYNC with the start value
         self._inhibited_until: Time = 0
@@ -154,8 +159,15 @@ class PdoProducer(Machine):
         answers_requests: bool = False,
     ) -> None:
         """Change the parameters. A waiting trigger is dropped; the SYNC count and the event timer start again. answers_requests:
-        a remote frame is answered. For the others see the class."""
+        a remote frame is answered. For the others see the class.
+
+        If only `event_time` changes, the event timer alone starts again; if nothing changes, nothing does. A trigger that waits
+        for the inhibit time is sent then: nothing else would tell of what has changed.
+        """
         key = key if mapping.entries else None
+        before = (self.key, self.mapping, self.transmission_type, self.inhibit_time, self.sync_start) if self.is_live else None
+        stays = before == (key, mapping, transmission_type, inhibit_time, sync_start)
+        is_other_timer = event_time != self.event_time
         if (key, answers_requests) != (self.key, self.answers_requests):
             self.key, self.answers_requests = key, answers_requests
             self._reroute()
@@ -164,7 +176,10 @@ class PdoProducer(Machine):
         self.inhibit_time = inhibit_time
         self.event_time = event_time
         self.sync_start = sync_start
-        self._restart(now)
+        if not stays:
+            self._restart(now)
+        elif is_other_timer:
+            self._start_timer(now)
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
         """Set whether the node is in NMT state Operational. Entering it sends nothing and starts the event timer.
@@ -241,6 +256,7 @@ class PdoProducer(Machine):
             if now >= self._inhibited_until:
                 self._send_due(now)
             else:
+                self._triggered = True
                 self._arm(min(self._inhibited_until, self._event_due))
         elif self.transmission_type == 0:
             self._triggered = True
@@ -325,9 +341,13 @@ class PdoProducer(Machine):
         self._syncs = 0
         self._awaits_start = self.sync_start != 0
         self._inhibited_until = now
+        self._start_timer(now)
+
+    def _start_timer(self, now: Time) -> None:
         timed = self.is_live and self.is_event_driven and self.event_time
         self._event_due = now + self.event_time if timed else NEVER
-        self._arm(self._event_due)
+        waits = self._triggered and self.is_event_driven
+        self._arm(min(self._inhibited_until, self._event_due) if waits else self._event_due)
 
 
 class HeldRpdos:

@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 from canopen_proto.bus_knowledge import HeardService, NodeHeard
 from canopen_proto.error_codes import error_text
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.network import Network
-from canopen_proto.nmt import SERVICES, NmtState, Service
+from canopen_proto.nmt import COMMAND_OF_BYTE, SERVICES, NmtState, Service, target_of
 from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
@@ -58,15 +58,17 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
         return _away(network)
     heard = network.heard(node.node_id)
     time, seen = _sign_of_life(heard, node, now)
+    commanded, theirs = _foreign_command(heard, node, now)
     if time is None:
         silent = _silent(network, heard, now)
         if network.last_heard is None:
             return silent
         stopped = f"canopen nmt preop {node.node_id}    (a node that is Stopped answers again)"
-        return Diagnosis(silent.seen, f"{silent.cause}; or it is Stopped and has no heartbeat", (*silent.tries, stopped))
-    node_id, state = node.node_id, _state(heard, node)
+        cause = f"{silent.cause}; or it is Stopped and has no heartbeat"
+        return Diagnosis(silent.seen + theirs, cause, (*silent.tries, stopped))
+    node_id, state = node.node_id, _state(heard, node) if commanded is None else commanded
     others, their_cause = _other_clients(network, heard, node, now)
-    seen += others
+    seen += theirs + others
     if state is NmtState.INITIALISING:
         return Diagnosis(seen, "it was reset, and has not booted since", ("the same once it has booted", SCAN))
     if state is not None and Service.SDO not in SERVICES[state]:
@@ -107,7 +109,9 @@ def missing_frame(
         if is_asked:
             return Diagnosis(silent.seen, f"{silent.cause}; or {cause}", (*silent.tries, *tries))
         return silent if pdo else Diagnosis(silent.seen, f"{cause}; or {silent.cause}", (*tries, *silent.tries))
-    state = _state(heard, node)
+    commanded, theirs = _foreign_command(heard, node, now)
+    seen += theirs
+    state = _state(heard, node) if commanded is None else commanded
     if pdo and state is not None and Service.PDO not in SERVICES[state]:
         return Diagnosis(seen, f"{_capital(state)}: no PDO in that state", (f"canopen nmt start {node.node_id}",))
     return Diagnosis(seen, cause, tuple(tries))
@@ -120,6 +124,18 @@ def _away(network: Network) -> Diagnosis:
 def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
     """Return the state that the node reported, or that we commanded since."""
     return node.nmt_state if node.nmt_state is not None else heard.state
+
+
+def _foreign_command(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[NmtState | None, str]:
+    """Return the state that another NMT master has commanded, and a line about it, if no heartbeat of the node came since, and no
+    command of ours."""
+    command = heard.foreign_command
+    kind = None if command is None else COMMAND_OF_BYTE.get(command.frame.data[0])
+    since = max(node.commanded_at, -NEVER if heard.state_time is None else heard.state_time)
+    if command is None or kind is None or command.time <= since:
+        return None, ""
+    words = kind.name.lower().replace("_", " ")
+    return target_of(kind), f"; another master commanded it: NMT {words}, {_ago(now - command.time)}"
 
 
 def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time | None, str]:

@@ -111,13 +111,17 @@ def test_what_an_application_shows_is_up_to_date_wherever_it_is_read() -> None:
 def test_an_application_hears_of_lost_connections_and_resets() -> None:
     bench, application = with_application()
     bench.tell(PRE_OPERATIONAL, STOP)
+    assert application.take() == ["connection lost, STOPPED"]  # of a client that commands by SDO
+    bench.tell(PRE_OPERATIONAL, START)
     assert application.take() == []
-    bench.tell(START, STOP)
+    bench.tell(STOP)
     assert application.take() == ["connection lost, STOPPED"]
     bench.tell(RESET_COMMUNICATION)
     assert application.take() == []
+    bench.tell(RESET_COMMUNICATION)
+    assert application.take() == ["connection lost, INITIALISING"]
     bench.tell(RESET_NODE)
-    assert application.take() == ["reset"]
+    assert application.take() == ["connection lost, INITIALISING", "reset"]
     bench.tell(START, PRE_OPERATIONAL)
     assert application.take() == ["connection lost, PRE_OPERATIONAL"]
     bench.write(0x1016, 1, 9 << 16 | 100, 4)

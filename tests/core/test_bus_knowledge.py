@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.bus_knowledge import COPY_TIME, MAX_LATENESS, SLOTS, HeardService, NodeHeard
@@ -253,6 +253,9 @@ def test_other_frames_that_a_machine_ignores_are_no_answers(frame: str) -> None:
 
 
 @given(st.lists(frames() | random_frames(), max_size=60))
+@example([Frame.parse("085#3081110000000000"), Frame.parse("085#")])
+@example([Frame.parse("085#10")])
+@example([Frame.parse("705#05"), Frame.parse("705#80")])
 def test_whatever_is_heard(frames: list[Frame]) -> None:
     network = Network()
     for node_id in (1, 5):
@@ -267,6 +270,12 @@ def test_whatever_is_heard(frames: list[Frame]) -> None:
         heard = network.heard(node_id)
         assert (heard.time is None) == (heard.service is None) == (node_id not in present)
         assert (heard.state is None) == (heard.state_time is None)
+        of_node = {base: [each for each in frames if each.key == base + node_id] for base in (0x080, 0x700)}
+        emergency, control = (of_node[base][-1].data if of_node[base] else b"" for base in (0x080, 0x700))
+        said = int.from_bytes(emergency[:2], "little") if len(emergency) >= 2 else None  # a code is no code by half
+        assert (None if heard.emcy is None else heard.emcy.error_code) == said
+        states = {0: 127, 4: 4, 5: 5, 127: 127}
+        assert heard.state == (states.get(control[0] & 0x7F) if len(control) == 1 else None)
     assert len(network._knowledge.times) == SLOTS
 
 

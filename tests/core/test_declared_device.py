@@ -273,6 +273,24 @@ def test_pdos_are_told_entry_by_entry() -> None:
     assert list(device.heaters) == [0, 0]
 
 
+def test_outputs_are_safe_when_their_pdo_does_not_come_in_its_event_time() -> None:
+    class Watched(Kettle):
+        pdos = (Rpdo(1, Kettle.heaters, event_time=50 * MILLISECOND),)
+
+    bench, device = kettle(Watched)
+    bench.tell(START, "205#0700")
+    bench.wait(40)
+    bench.tell("205#0701")
+    assert bench.wait(49) == []
+    assert list(device.heaters) == [7, 1]
+    assert bench.wait(1) == ["90 085#5082110100000000"]
+    assert (list(device.heaters), device.log[-1]) == ([0, 1], "stop 8250")  # Kettle.stop is about heater 1
+    bench.wait(100)
+    assert device.log.count("stop 8250") == 1
+    assert bench.tell("205#0900") == ["085#0000000000000000"]
+    assert list(device.heaters) == [9, 0]
+
+
 def test_a_read_asks_the_device_and_so_does_a_tpdo_at_sync() -> None:
     bench, device = kettle()
     assert bench.read(0x2100, 1) == b"\x00\x00\xc0\x3f"
@@ -309,7 +327,7 @@ def test_steps_keep_their_phase_and_begin_again_with_a_reset() -> None:
     bench.write(0x2000, 0, 50, 1)
     bench.tell(RESET_NODE)
     bench.wait(10)
-    assert device.log == ["limit 50", "start", "step 70"]
+    assert device.log == ["limit 50", "stop 8100", "start", "step 70"]
     assert device.limit == 100
 
 

@@ -160,6 +160,32 @@ def test_in_stopped_nothing_is_sent_and_afterwards_the_most_recent() -> None:
     assert sent(producer.out) == []
 
 
+def test_an_error_that_is_gone_again_in_stopped_is_not_told_as_the_present_one() -> None:
+    producer = EmcyProducer(Outbox(), 5)
+    producer.raise_error(0x3210, 0x04, b"", 0)
+    assert sent(producer.out) == ["085#1032050000000000"]
+    producer.set_enabled(False, 1)
+    producer.raise_error(0x4210, 0x08, b"\x07", 2)
+    producer.raise_error(0x8130, 0x10, b"\x05", 3, additional_info=5)
+    producer.raise_error(0x8130, 0x10, b"\x06", 3, additional_info=6)
+    producer.clear(0x8130, 4, additional_info=6)
+    producer.clear(0x8130, 4, additional_info=5)
+    producer.set_enabled(True, 5)
+    assert sent(producer.out) == ["085#10420D0700000000"]
+    producer.set_enabled(False, 6)
+    producer.raise_error(0x8130, 0x10, b"\x05", 7, additional_info=5)
+    producer.clear(0x8130, 8, additional_info=5)
+    producer.set_enabled(True, 9)
+    assert sent(producer.out) == []  # what is still present was told before
+    producer.set_enabled(False, 10)
+    for _ in range(MAX_PENDING + 1):
+        clear_all(producer, 11)
+        producer.raise_error(0x1001, 0, b"", 12)
+    clear_all(producer, 13)
+    producer.set_enabled(True, 14)
+    assert take(producer.out) == (["085#0000000000000000"], [EmcySent(5, 0, 0, bytes(5))])  # and none was dropped
+
+
 def test_inhibited_frames_wait_through_stopped() -> None:
     producer = EmcyProducer(Outbox(), 5)
     producer.set_inhibit_time(10 * MS, 0)
@@ -288,7 +314,14 @@ class EmcyOverTime(RuleBasedStateMachine):
 
     @rule(enabled=st.booleans())
     def nmt_state(self, enabled: bool) -> None:
+        """Behind Stopped "the most recent active EMCY reason" is sent (CiA 301 v4.2.0, 7.3.2.2.4), and no other."""
+        was_stopped = not self.producer.enabled
         self.producer.set_enabled(enabled, self.now)
+        for frame in self.producer.out.frames if was_stopped else ():
+            code, register = int.from_bytes(frame.data[:2], "little"), frame.data[2]
+            present = [error & 0xFFFF for error in self.errors]
+            assert code in present if present else code == 0, f"{code:04X} is told, present are {present}"
+            assert register == self.producer.error_register
         self.carry()
 
     @rule(step=st.integers(0, 30))

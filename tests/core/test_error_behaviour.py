@@ -94,6 +94,18 @@ def test_monitoring_begins_anew_after_a_reset() -> None:
     assert bench.wait(200) == [f"{150 + 1000 + 100} 085#3081110900000000"]
 
 
+def test_an_error_that_a_reset_has_ended_is_not_told_behind_the_boot_up() -> None:
+    bench = monitoring()
+    assert bench.write(0x1015, 0, 10_000, 2) is None  # a second between two EMCY
+    bench.node.raise_error(0x2310, 0x02, b"", bench.now)
+    assert bench.take() == ["085#1023030000000000"]
+    assert bench.wait(150) == []  # node 9 is lost, and the EMCY for that waits
+    assert bench.number(0x1001) == 0x13
+    assert bench.tell(RESET_COMMUNICATION)[0] == "705#00"
+    assert bench.number(0x1001) == 0x03
+    assert bench.wait(2000) == []
+
+
 def test_errors_reported_by_the_device_itself() -> None:
     bench = DeviceBench()
     bench.node.raise_error(0x2310, 0x02, b"\x01\x02", 0)

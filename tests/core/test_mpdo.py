@@ -245,6 +245,19 @@ def test_the_inhibit_time_lies_between_any_two_and_each_waits_once() -> None:
     assert bench.wait(100) == []  # what waited is forgotten
 
 
+def test_another_event_time_loses_no_object_that_waits() -> None:
+    bench = bench_with((0x1FA0, 1, scan(4, TABLE, 1)))
+    for subindex, value in [(1, 0xC00001C5), (3, 100), (1, 0x400001C5)]:  # 10 ms between two
+        bench.node.set_value(0x1802, subindex, value, bench.now)
+    for subindex in (1, 2, 3):
+        bench.node.set_value(TABLE, subindex, 1, bench.now)
+    assert bench.take() == ["1C5#0500210101000000"]
+    assert bench.write(0x1802, 2, 254, 1) is None  # as it is
+    assert bench.write(0x1802, 5, 25, 2) is None
+    assert bench.wait(30) == ["10 1C5#0500210201000000", "20 1C5#0500210301000000"]
+    assert bench.wait(16) == ["45 1C5#0500210101000000"]
+
+
 def test_the_event_time_sends_one_object_after_the_other() -> None:
     bench = bench_with((0x1FA0, 1, scan(1, INPUT, 0)), (0x1FA0, 3, scan(2, TABLE, 1)))
     bench.node.set_value(0x1802, 5, 20, bench.now)

@@ -201,6 +201,28 @@ def test_types_252_and_253_of_a_device() -> None:
     assert bench.tell(SYNC, "185#R2") == ["185#0600"]
 
 
+def test_whoever_writes_the_settings_of_a_running_pdo_loses_none_of_its_values() -> None:
+    bench = DeviceBench()
+    for index, subindex, value, size in [
+        (0x1800, 1, 0x80000185, 4),
+        (0x1800, 3, 1000, 2),  # 100 ms between two
+        (0x1800, 1, 0x185, 4),
+        (0x1400, 5, 50, 2),
+    ]:
+        assert bench.write(index, subindex, value, size) is None
+    bench.tell(START)
+    for value in (1, 2):
+        bench.node.set_value(INPUT, 0, value, bench.now)
+    assert bench.take() == ["185#0100"]
+    assert bench.tell("305#0900", "205#0700") == []
+    for index, subindex, value, size in [(0x1800, 5, 70, 2), (0x1800, 2, 255, 1), (0x1401, 5, 0, 2), (0x1400, 2, 255, 1)]:
+        assert (bench.write(index, subindex, value, size), bench.others) == (None, [])
+    assert bench.wait(60) == ["50 085#5082110100000000"]  # RPDO 1 is overdue
+    assert bench.wait(60) == ["100 185#0200"]
+    bench.tell(SYNC)
+    assert bench.number(OUTPUT) == 9
+
+
 class Clock(Machine):
     """An application that shows what time it is, in ms."""
 

@@ -70,11 +70,18 @@ class Cell:
     """A held drive in motion, its master, and who keeps it going."""
 
     def __init__(
-        self, name: str, dictionary: ObjectDictionary | None = None, watchdog: Watchdog | None = DEFAULT_WATCHDOG
+        self,
+        name: str,
+        dictionary: ObjectDictionary | None = None,
+        watchdog: Watchdog | None = DEFAULT_WATCHDOG,
+        *,
+        starts: bool = True,
     ) -> None:
+        """starts: the node is Operational; else it is commanded by SDO in Pre-operational."""
         self.world = world = HeldDrive(dictionary)
         self.bus, self.motion = world.bus(), MOTIONS[name]
-        self.bus.send(f"000#01{NODE:02X}")
+        if starts:
+            self.bus.send(f"000#01{NODE:02X}")
         self.world.advance(MILLISECOND)
         self.gap = world.take_hold(watchdog) if watchdog else ""
         for key, value in (RATES | self.motion.before).items():
@@ -197,6 +204,18 @@ def test_it_stands_within_the_detection_time_and_its_ramp(motion: str, name: str
     assert cell.world.node.drive._servo.position == pytest.approx(stood, abs=30)
     assert cell.world.node.drive.state is State.SWITCH_ON_DISABLED
     assert kill.told is None or any(isinstance(event, kill.told) and event.node_id == NODE for event in cell.world.holder.events)
+
+
+@pytest.mark.thorough(3)
+@pytest.mark.parametrize("name", ["joint", "communication", "NMT"])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_drive_that_is_commanded_in_pre_operational_is_stopped_by_nmt_too(motion: str, name: str) -> None:
+    """It gets no command any more (no SDO in Stopped), and a reset has ended its watch over the master (0x1016)."""
+    cell, kill = Cell(motion, starts=False), KILLS[name]
+    kill.happen(cell)
+    assert cell.time_to_stand() <= allowed(kill)
+    cell.run(SECOND)
+    assert cell.world.node.drive.state is State.SWITCH_ON_DISABLED
 
 
 SYNC_TIME = 100 * MILLISECOND

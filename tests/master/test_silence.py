@@ -102,6 +102,47 @@ def test_stopped_by_ourselves() -> None:
     assert desk.sdo().cause == "it was reset, and has not booted since"
 
 
+@pytest.mark.parametrize(
+    ("frame", "words", "cause", "pdo_cause"),
+    [
+        ("000#0205", "stop", "Stopped: no SDO in that state", "Stopped: no PDO in that state"),
+        ("000#0200", "stop", "Stopped: no SDO in that state", "Stopped: no PDO in that state"),
+        ("000#8005", "enter pre operational", "it is busy, or the answer was lost", "Pre-operational: no PDO in that state"),
+        ("000#8105", "reset node", "it was reset, and has not booted since", "Initialising: no PDO in that state"),
+        ("000#0105", "start", "it is busy, or the answer was lost", "its cable is loose"),
+    ],
+)
+def test_commanded_by_another_master(frame: str, words: str, cause: str, pdo_cause: str) -> None:
+    """A node without a heartbeat shows no state, and ours is the one that we commanded."""
+    desk = Desk()
+    nmt = NmtMaster(desk.network.out)
+    desk.network.attach(nmt)
+    nmt.send(NmtCommand.START, 5, NOW - SECOND)
+    desk.network.drain(NOW - SECOND)
+    desk.hear("085#0000000000000000", 500 * MILLISECOND)
+    desk.hear(frame, 200 * MILLISECOND)
+    for known in (desk.sdo(), desk.pdo()):
+        assert "NMT state OPERATIONAL by our command" in known.seen
+        assert f"; another master commanded it: NMT {words}, 200 ms ago" in known.seen
+    assert (desk.sdo().cause, desk.pdo().cause) == (cause, pdo_cause)
+    desk.hear("000#0206", 100 * MILLISECOND)  # for another node
+    desk.hear("000#02", 100 * MILLISECOND)
+    assert "another master" not in desk.sdo().seen
+    desk.hear(frame, 50 * MILLISECOND)
+    desk.hear("705#05", 20 * MILLISECOND)  # a heartbeat knows better
+    assert (desk.sdo().cause, "another master" in desk.sdo().seen) == ("it is busy, or the answer was lost", False)
+    desk.hear(frame, 10 * MILLISECOND)
+    nmt.send(NmtCommand.STOP, 5, NOW)
+    desk.network.drain(NOW)
+    assert (desk.sdo().cause, "another master" in desk.sdo().seen) == ("Stopped: no SDO in that state", False)
+
+
+def test_a_node_that_was_never_heard_and_was_stopped_by_another_master() -> None:
+    known = hearing("706#05", "000#0205").sdo()
+    assert known.seen.endswith("; another master commanded it: NMT stop, 120 ms ago")
+    assert known.tries[-1] == PREOP
+
+
 def test_just_booted() -> None:
     known = hearing("705#00").sdo()
     assert "last heard 120 ms ago (boot-up), NMT state PRE_OPERATIONAL" in known.seen

@@ -297,6 +297,22 @@ def test_abort_connection_option_code(option: int, from_enabled: list[int], from
         assert [each for each in bench.transitions() if each != 9] == []
 
 
+@pytest.mark.parametrize("option", [0, 1, 2, 3])
+def test_a_late_drive_obeys_no_command_from_before_its_connection_was_lost(option: int) -> None:
+    """It would go on in that mode with nobody to stop it. With 0 it goes on in any case: that is what it was told."""
+    bench = Bench(DriveSettings(reaction=200 * MILLISECOND))
+    bench.write(0x6007, option)
+    bench.write(0x60FF, 20_000)
+    bench.write(0x6060, 3)
+    for word in (0x06, 0x07, 0x0F):
+        bench.write(0x6040, word)
+    bench.run(150)
+    bench.drive.connection_lost(bench.now, 0x8100)
+    bench.run(1000)
+    assert (bench.state is State.OPERATION_ENABLED) is (option == 0)
+    assert bench.read(0x6061) == 3
+
+
 def test_a_lost_connection_as_a_fault_has_its_own_error_code() -> None:
     bench = Bench()
     bench.write(0x6007, 1)

@@ -11,8 +11,8 @@ events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.
 - Motion is closed form (`servo.py`), so time costs little. The drive wakes every STEP while something moves or is watched, and at
   the end of a motion that something waits for; else never. `refresh(now)` brings the store up to date before a TPDO is built or
   an SDO reads.
-- Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
-  3; this follows CiA 402.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
+- Connection lost (heartbeat, NMT stop or reset): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree
+  on 2 and 3; this follows CiA 402.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
 
 Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option codes.
 """
@@ -200,7 +200,7 @@ class Drive(Machine):
             self._show()
 
     def connection_lost(self, now: Time, error_code: int) -> None:
-        """Act by 6007h: the master fell silent, or took the node out of Operational. error_code: of the fault, if 6007h asks for
+        """Act by 6007h: the master fell silent, or NMT has taken the node from it. error_code: of the fault, if 6007h asks for
         one. A lost heartbeat that also ends Operational makes one fault, not two."""
         self._advance(now)
         match self._servo.parameter(objects.ABORT_CONNECTION_OPTION_CODE):
@@ -554,6 +554,12 @@ class LateDrive(Drive):
         if value != last:  # else the same value again, as in each cycle
             self._late.append((now + self.settings.reaction, key, value))
             self._schedule()
+
+    def connection_lost(self, now: Time, error_code: int) -> None:
+        """Act as `Drive` does, and obey no controlword from before: it would enable the drive again, with nobody to stop it."""
+        if self._servo.parameter(objects.ABORT_CONNECTION_OPTION_CODE):
+            self._late = deque(late for late in self._late if late[1] != objects.CONTROLWORD)
+        super().connection_lost(now, error_code)
 
     def _advance(self, now: Time) -> None:
         while not self._obeys and self._late and self._late[0][0] <= now:
