@@ -54,21 +54,38 @@ def worst_bits(data_length: int, *, extended: bool = False) -> int:
 
 def frame_bits(frame: Frame) -> int:
     """Return the exact length of this frame, from SOF to the end of the intermission."""
-    bits, count = stuffed_part(frame)
-    return count + stuff_bits(bits, count) + FRAME_TAIL
+    # The header is filled up to whole bytes by bits in turn, the last one unlike SOF: they take no stuff bit and lengthen no run.
+    # The CRC begins with the same bits, so that they leave nothing of it.
+    if frame.flags & EXTENDED:
+        head, high, total = (1 << 39 | _header(frame)).to_bytes(5, "big"), 0x80, STUFFED_EXTENDED
+    else:
+        head, high, total = (0b10101 << 19 | _header(frame)).to_bytes(3, "big"), 0b10101 << 3, STUFFED_STANDARD
+    (highs, lows), (counts, states) = _crc_tables(), _stuff_tables()
+    low = state = 0
+    for byte in head + frame.data:
+        place = high ^ byte
+        high, low = low ^ highs[place], lows[place]
+        state |= byte
+        total += counts[state]
+        state = states[state]
+    state |= high
+    last = states[state] | low | low >> 1 & 1 ^ 1  # one bit more than the CRC has, unlike the one before it
+    return total + counts[state] + counts[last] + 8 * len(frame.data) + FRAME_TAIL
+
+
+def _header(frame: Frame) -> int:
+    """Return the bits from SOF to the DLC as a number: 19 of them, or 39 of an extended frame."""
+    remote = frame.flags & REMOTE
+    if frame.flags & EXTENDED:
+        # SOF 0, base ID, SRR 1, IDE 1, the other 18 bits, RTR, r1 0, r0 0
+        identifier = ((frame.can_id >> 18) << 2 | 0b11) << 18 | frame.can_id & 0x3FFFF
+        return (identifier << 1 | remote) << 6 | frame.dlc
+    return (frame.can_id << 1 | remote) << 6 | frame.dlc  # IDE 0, r0 0
 
 
 def stuffed_part(frame: Frame) -> tuple[int, int]:
     """Return the bits from SOF to the end of the CRC, before stuffing, as a number with SOF first; and their count."""
-    remote = frame.flags & REMOTE
-    if frame.flags & EXTENDED:
-        # SOF 0, base ID, SRR 1, IDE 1, the other 18 bits, RTR, r1 0, r0 0
-        header = ((frame.can_id >> 18) << 2 | 0b11) << 18 | frame.can_id & 0x3FFFF
-        bits = (header << 1 | remote) << 6 | frame.dlc
-        count = STUFFED_EXTENDED
-    else:
-        bits = (frame.can_id << 1 | remote) << 6 | frame.dlc  # IDE 0, r0 0
-        count = STUFFED_STANDARD
+    bits, count = _header(frame), STUFFED_EXTENDED if frame.flags & EXTENDED else STUFFED_STANDARD
     length = len(frame.data)
     if length:
         bits = bits << 8 * length | int.from_bytes(frame.data, "big")
@@ -78,63 +95,62 @@ def stuffed_part(frame: Frame) -> tuple[int, int]:
 
 def crc15(bits: int) -> int:
     """Return the CRC of a bit string, given as a number with the first bit the highest."""
-    table = _crc_table()
-    crc = 0
+    highs, lows = _crc_tables()
+    high = low = 0
     for byte in bits.to_bytes((bits.bit_length() + 7) // 8, "big"):
-        crc = (crc << 8 & 0x7FFF) ^ table[crc >> 7 ^ byte]
-    return crc
+        place = high ^ byte
+        high, low = low ^ highs[place], lows[place]
+    return high << 7 | low >> 1
 
 
 def stuff_bits(bits: int, count: int) -> int:
     """Return how many stuff bits a string of `count` bits takes, given as a number with the first bit the highest."""
-    rest = count & 7
-    total, state = _NOTHING_YET
-    for place in range(count - 1, count - 1 - rest, -1):
-        stuffed, state = _after_bit(state, bits >> place & 1)
-        total += stuffed
-    table = _stuff_table()
-    for byte in (bits & (1 << count - rest) - 1).to_bytes(count // 8, "big"):
-        stuffed, state = table[state << 8 | byte]
-        total += stuffed
+    counts, states = _stuff_tables()
+    rest = -count & 7  # filled up as in `frame_bits`
+    filling = (0xAA if bits << 1 >> count else 0x55) & (1 << rest) - 1
+    total = state = 0
+    for byte in (filling << count | bits).to_bytes((count + rest) // 8, "big"):
+        state |= byte
+        total += counts[state]
+        state = states[state]
     return total
 
 
 @cache
-def _crc_table() -> tuple[int, ...]:
+def _crc_tables() -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return, for each byte, its CRC: the 8 higher bits, and the 7 lower ones, which stand where the next byte has them."""
     table = []
     for byte in range(256):
         crc = byte << 7
         for _ in range(8):
             crc = crc << 1 ^ (CRC_POLYNOMIAL if crc & 0x4000 else 0)
         table.append(crc & 0x7FFF)
-    return tuple(table)
+    return tuple(crc >> 7 for crc in table), tuple((crc & 0x7F) << 1 for crc in table)
 
 
-# The state of stuffing: the value of the last bit (0 or 1), and how many equal bits there were (0 at first, else 1 to 4; five
-# equal bits become one of the other value). As a number: the value, plus twice the count.
-_NOTHING_YET: Final = (0, 0)
-
-
-def _after_bit(state: int, bit: int) -> tuple[int, int]:
-    """Return the stuff bits (0 or 1) that a bit causes, and the state after it."""
-    run = (state >> 1) + 1 if state & 1 == bit else 1
-    if run == MAX_RUN:
-        return 1, 1 << 1 | bit ^ 1
-    return 0, run << 1 | bit
+def _after_bit(bit: int, last: int, run: int) -> tuple[int, int, int]:
+    """Return the stuff bits (0 or 1) that a bit causes, and the last bit and its run after it. run: 0 before the first bit."""
+    run = run + 1 if bit == last else 1
+    return (1, bit ^ 1, 1) if run == MAX_RUN else (0, bit, run)
 
 
 @cache
-def _stuff_table() -> tuple[tuple[int, int], ...]:
-    """Return, for each state and byte, the stuff bits and the state after it."""
-    table = []
+def _stuff_tables() -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return, for each state and byte behind it, the stuff bits, and the state after it.
+
+    A state is the value of the last bit (0 or 1), plus twice its run (0 at first, else 1 to 4; five equal bits become one of the
+    other value). It stands where a byte can be added to it.
+    """
+    counts, states = [], []
     for start in range(2 * MAX_RUN):
         for byte in range(256):
-            total, state = 0, start
+            total, last, run = 0, start & 1, start >> 1
             for place in range(7, -1, -1):
-                stuffed, state = _after_bit(state, byte >> place & 1)
+                stuffed, last, run = _after_bit(byte >> place & 1, last, run)
                 total += stuffed
-            table.append((total, state))
-    return tuple(table)
+            counts.append(total)
+            states.append((run << 1 | last) << 8)
+    return tuple(counts), tuple(states)
 
 
 MAX_DATA: Final = 64

@@ -98,7 +98,8 @@ class Network:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
         # As near as can be: looked at for each frame
-        self._sent, self._told, self._root = self.out.frames, self.out.events, self.out.root
+        self._sent, self._root = self.out.frames, self.out.root
+        self._told: list[Any] = self.out.events  # Any: compiled, each event would be looked at whether it is one
         self._armed, self._rerouted = self.out.armed, self.out.rerouted
         self._members = Members(self.out, SLOTS)
         self._lone, self._routes, self._heap = self._members.lone, self._members.receivers, self._members.heap
@@ -163,8 +164,8 @@ class Network:
         if self._rerouted:
             self._members.refresh()
         root.timestamp = timestamp  # also None: after a bug, that of the frame that caused it may stand there
-        # Whoever is told of what was reported may ask for what comes behind it
-        root.quiet = self.quiet and not mark and self._nobody_waits()
+        # Whoever is told of what was reported may ask for what comes behind it, and a procedure may wait for the usual traffic
+        root.quiet = self.quiet and not mark and not (self._tasks and self.runner.waits_for_the_usual)
         machine = self._lone[key] if key < SLOTS else None
         if machine is not None:
             machine.receive(frame, now)
@@ -213,8 +214,8 @@ class Network:
         out, lone, frames, reactions = self.out, self._lone, self._frames, self._reactions
         times: list[Any] = self._times
         time: Any = now  # compiled, a number would be put into a new object for each frame
-        root, events, routes, costs = out.root, out.events, self._routes, FRAME_BITS
-        root.quiet = self.quiet and not events and self._nobody_waits()
+        root, events, routes, costs = out.root, self._told, self._routes, FRAME_BITS
+        root.quiet = self.quiet and not events and not (self._tasks and self.runner.waits_for_the_usual)
         bits, mark = 0, len(events)
         try:
             for item in received:
@@ -270,10 +271,6 @@ class Network:
             root.timestamp = None
             root.quiet = False
         return None
-
-    def _nobody_waits(self) -> bool:
-        """Return whether no procedure waits for the events of the usual traffic."""
-        return not (self._tasks and self.runner.waits_for_the_usual)
 
     def _before_boot(self, key: RoutingKey, now: Time) -> None:
         """Feed the answers from before a boot-up, so that no procedure goes on by them behind it. Whoever waits for anything else
@@ -340,7 +337,7 @@ class Network:
         """Return when to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) if nothing changed."""
         if self._armed or self._rerouted:
             self._members.refresh()
-        heap = self._heap
+        heap: list[Any] = self._heap  # Any: compiled, all of an entry would be taken out of it
         return heap[0][0] if heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
@@ -365,7 +362,7 @@ class Network:
                 self._settle(now)
             if self._tasks:
                 self._feed(now)
-            to_deliver: list[Event] = [*events]
+            to_deliver = events.copy()
             events.clear()
             self._settled = self._fed = 0
             if self._dropped:
@@ -375,7 +372,7 @@ class Network:
             to_deliver = []
         if not frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
             return [], to_deliver
-        to_send = [*frames]
+        to_send = frames.copy()
         frames.clear()
         return to_send, to_deliver
 

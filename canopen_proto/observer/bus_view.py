@@ -43,6 +43,8 @@ _SLOTS: Final = 10
 """Parts of a second for which frames and bits are counted."""
 _SLOT: Final = SECOND // _SLOTS
 _ABORT: Final = 0x80
+_NOT_OF_A_NODE: Final = EXTENDED | REMOTE
+"""Flags of frames that are not of the predefined connection set, or that ask for one of it."""
 
 
 class Intervals(NamedTuple):
@@ -151,16 +153,18 @@ class BusView:
         """Take a frame, and what the observer says of it. Frames come in order. now: ns; an earlier one counts as the last."""
         if self._begin is None:
             self._begin = self._now = now
-        now = self._now = max(now, self._now)
-        bits, slot = observation.bits or frame_bits(frame), now // _SLOT
-        if self._rate.is_over(slot):
-            self._peak = max(self._peak, self._rate.last_second(self._rate.slot + 1)[1])
-        self._rate.add(slot, bits)
+        if now < self._now:
+            now = self._now
+        self._now = now
+        bits, slot, rate, meaning = observation.bits or frame_bits(frame), now // _SLOT, self._rate, observation.meaning
+        if 0 <= rate.slot < slot:  # a slot is over
+            self._peak = max(self._peak, rate.last_second(rate.slot + 1)[1])
+        rate.add(slot, bits)
         if observation.findings:
             for finding in observation.findings:
                 self._findings.append((now, finding))
                 self._found[finding.rule] += 1
-        service, node_id = observation.meaning.service, observation.meaning.node_id
+        service, node_id = meaning.service, meaning.node_id
         if service == "SYNC":
             self._syncs += 1
             self._sync.beat(now)
@@ -172,7 +176,7 @@ class BusView:
             if node is None:
                 node = self._nodes[node_id] = _NodeView(node_id)
             node.rate.add(slot, bits)
-            if not frame.flags & (EXTENDED | REMOTE) and frame.can_id & FUNCTION in BY_THE_NODE:
+            if not frame.flags & _NOT_OF_A_NODE and frame.can_id & FUNCTION in BY_THE_NODE:
                 node.last_heard, node.heard_by = now, service
             if service == "SDO":
                 node.sdo(frame.data, observation)
@@ -332,10 +336,6 @@ class _Rate:
         self.slot = -1  # the present one; it is not over
         self._now_frames = self._now_bits = 0
         self._past: deque[tuple[int, int, int]] = deque(maxlen=_SLOTS)  # slots with frames: number, frames, bits
-
-    def is_over(self, slot: int) -> bool:
-        """Return whether a slot was counted, and is over in this one."""
-        return 0 <= self.slot < slot
 
     def add(self, slot: int, bits: int) -> None:
         """Count a frame."""

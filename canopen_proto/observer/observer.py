@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.explained import counted
@@ -98,13 +98,14 @@ _EMPTY: Final = ObjectDictionary((), source="nothing")
 _BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
 _PRODUCER_TIME: Final = PRODUCER_HEARTBEAT_TIME.to_bytes(2, "little") + b"\0"
+_TPDO: Final = Direction.TPDO  # found in a tenth of the time, for each PDO
 _DOWNLOADS: Final = (SdoFrame.DOWNLOAD, SdoFrame.BLOCK_DOWNLOAD)
 
 _Route: TypeAlias = Callable[[Frame, Time, list[BusFinding]], Meaning]
 """Takes a frame of one service of one node. Puts what is wrong into the list."""
 
 
-class Observation(NamedTuple):
+class Observation:
     """A frame in words, and what is wrong: with this frame, or at its time.
 
     settled: the value that a device is known to hold by this frame, of an SDO transfer that is over. bits: of the frame on the
@@ -114,13 +115,30 @@ class Observation(NamedTuple):
     statuswords: of drives (CiA 402) that the node itself tells with this frame, each with its index: 0x6041, 0x6841 ...
     """
 
-    meaning: Meaning
-    findings: tuple[BusFinding, ...]
-    settled: Settled | None = None
-    bits: int = 0
-    is_part: bool = False
-    summaries: tuple[Summary, ...] = ()
-    statuswords: tuple[tuple[int, int], ...] = ()
+    __slots__ = ("bits", "findings", "is_part", "meaning", "settled", "statuswords", "summaries")
+
+    def __init__(
+        self,
+        meaning: Meaning,
+        findings: tuple[BusFinding, ...],
+        settled: Settled | None,
+        bits: int,
+        is_part: bool,
+        summaries: tuple[Summary, ...],
+        statuswords: tuple[tuple[int, int], ...],
+    ) -> None:
+        self.meaning = meaning
+        self.findings = findings
+        self.settled = settled
+        self.bits = bits
+        self.is_part = is_part
+        self.summaries = summaries
+        self.statuswords = statuswords
+
+    def behind(self, finding: BusFinding) -> Observation:
+        """Return the same with one finding more, before its own."""
+        findings = (finding, *self.findings)
+        return Observation(self.meaning, findings, self.settled, self.bits, self.is_part, self.summaries, self.statuswords)
 
 
 class Observer:
@@ -195,9 +213,11 @@ class Observer:
         bits = 0 if self._load is None else self._load.add(frame, now, found)
         settled, self._settled = self._settled, None
         statuswords, self._statuswords = self._statuswords, ()
+        findings = tuple(found) if found else ()
         if sequences.is_part or sequences.ended:
-            return Observation(meaning, tuple(found), settled, bits, *sequences.take(), statuswords)
-        return Observation(meaning, tuple(found), settled, bits, False, (), statuswords)
+            is_part, summaries = sequences.take()
+            return Observation(meaning, findings, settled, bits, is_part, summaries, statuswords)
+        return Observation(meaning, findings, settled, bits, False, (), statuswords)
 
     def _late(self, now: Time, found: list[BusFinding]) -> None:
         """Tell what has not come in time. found: takes the findings.
@@ -416,7 +436,7 @@ class Observer:
             self._lengths[pdo] = 0
             if pdo.has_statusword:
                 self._statuswords = pdo.statuswords(frame.data)
-        if pdo.direction is Direction.TPDO:
+        if pdo.direction is _TPDO:
             self._nodes.pdo(pdo.node_id, now, found)
         self._timings.came(pdo.node_id, pdo.name, frame.data, now, found)
         return Meaning(pdo.name, pdo.node_id, pdo.say, frame)

@@ -80,7 +80,7 @@ class ObservedPdo:
 
     def statuswords(self, data: bytes) -> tuple[tuple[int, int], ...]:
         """Return the statuswords in a frame of the right length, each with its index."""
-        return tuple((index, data[at] | data[at + 1] << 8) for index, at in self._statuswords)
+        return tuple([(index, data[at] | data[at + 1] << 8) for index, at in self._statuswords])
 
     def _mapped(self, frame: Frame) -> Words:
         mapping, data = self.mapping, frame.data

@@ -101,6 +101,19 @@ class _Phase(enum.Enum):
     BLOCK_END_ANSWER = enum.auto()
 
 
+# A name of the module is found in a tenth of the time that a member of an enumeration takes
+_UNKNOWN: Final = _Phase.UNKNOWN
+_IDLE: Final = _Phase.IDLE
+_INITIATE_ANSWER: Final = _Phase.INITIATE_ANSWER
+_SEGMENT_REQUEST: Final = _Phase.SEGMENT_REQUEST
+_SEGMENT_ANSWER: Final = _Phase.SEGMENT_ANSWER
+_BLOCK_START: Final = _Phase.BLOCK_START
+_BLOCK_SEGMENTS: Final = _Phase.BLOCK_SEGMENTS
+_BLOCK_ACKNOWLEDGEMENT: Final = _Phase.BLOCK_ACKNOWLEDGEMENT
+_BLOCK_END: Final = _Phase.BLOCK_END
+_BLOCK_END_ANSWER: Final = _Phase.BLOCK_END_ANSWER
+
+
 class Settled(NamedTuple):
     """A value that a device is known to hold: it was read, or a write of it was confirmed."""
 
@@ -151,7 +164,7 @@ class SdoFollower:
         self.aborted: Mux | None = None
         self._dictionary = dictionary
         self._found: list[BusFinding] = []
-        self._phase = _Phase.UNKNOWN
+        self._phase = _UNKNOWN
         self._is_judged = False  # the request that began this transfer was heard
         self._since: Time = 0  # of the request that waits for its answer
         self._answer = b""  # the last one that ended a transfer
@@ -209,7 +222,7 @@ class SdoFollower:
         if data is None:
             return
         before, at = self._for_good.get(place, (data, self._now))
-        if not self._is_judged or (self._phase is _Phase.INITIATE_ANSWER and place == self._place):
+        if not self._is_judged or (self._phase is _INITIATE_ANSWER and place == self._place):
             self._for_good[place] = data, self._now  # what nobody asked for is no measure
         if data != before and not self._is_twin_told:
             self._is_twin_told = True
@@ -223,7 +236,7 @@ class SdoFollower:
             self._copies -= 1
             return Meaning("SDO", self.node_id, words.once_more, frame)
         if self._is_client:
-            self._copies += self._phase is _Phase.INITIATE_ANSWER
+            self._copies += self._phase is _INITIATE_ANSWER
         if self._is_judged:
             what = "request" if self._is_client else "answer"
             self._gaps.copied(self.node_id, f"the same SDO {what} is there twice", self._now, self._found)
@@ -237,7 +250,7 @@ class SdoFollower:
 
     def _forget(self) -> None:
         """Judge nothing any more, up to the next request."""
-        self._phase, self._is_judged, self._is_lost = _Phase.UNKNOWN, False, True
+        self._phase, self._is_judged, self._is_lost = _UNKNOWN, False, True
         self._rivals = self._twins = 0
         self._held = None
         self._pending.clear()
@@ -263,7 +276,7 @@ class SdoFollower:
             return self._aborted(request)
         if what in INITIATES:
             return self._initiate(request, what)
-        if self._phase is _Phase.UNKNOWN:
+        if self._phase is _UNKNOWN:
             return words.alone
         if what in _SEGMENTS:
             return self._segment_request(request, is_upload=what is SdoFrame.UPLOAD_SEGMENT)
@@ -280,18 +293,18 @@ class SdoFollower:
         what = RESPONSES[answer[0]]
         say: Say
         if what is SdoFrame.ABORT:
-            if self._phase is _Phase.IDLE and not self._superseded:
+            if self._phase is _IDLE and not self._superseded:
                 self._lost("the server aborts a transfer whose request is not there")
             say = self._aborted(answer)
-        elif self._phase is _Phase.IDLE or self._phase is _Phase.UNKNOWN:
+        elif self._phase is _IDLE or self._phase is _UNKNOWN:
             say = self._unasked(answer, what)
-        elif self._phase is _Phase.INITIATE_ANSWER:
+        elif self._phase is _INITIATE_ANSWER:
             say = self._initiate_answer(answer, what)
-        elif what in _SEGMENTS and self._phase in (_Phase.SEGMENT_ANSWER, _Phase.SEGMENT_REQUEST):
+        elif what in _SEGMENTS and self._phase in (_SEGMENT_ANSWER, _SEGMENT_REQUEST):
             say = self._segment_answer(answer, is_upload=what is SdoFrame.UPLOAD_SEGMENT)
         else:
             say = self._block(answer, what)
-        if self._phase is _Phase.IDLE:
+        if self._phase is _IDLE:
             self._answer, self._answered = answer, self._now
         return say
 
@@ -299,26 +312,26 @@ class SdoFollower:
         """Return whether a frame of the side that has the data is a segment of a block, and not an abort of the transfer."""
         if not data or (len(data) == 8 and data[0] == ABORT and data[1:4] == self._place):
             return False
-        if self._phase is _Phase.BLOCK_SEGMENTS:
+        if self._phase is _BLOCK_SEGMENTS:
             return True
         return 0 < data[0] & SEQUENCE < LEAST_INITIATE and self._has_next_segments()
 
     # ---- initiate ----
 
     def _initiate(self, request: bytes, what: SdoFrame) -> Say:
-        if self._phase is _Phase.INITIATE_ANSWER:
+        if self._phase is _INITIATE_ANSWER:
             if request != self._request:
                 self._superseded.append((self._place, self._now - self._since < TWO_CLIENTS))
                 del self._superseded[:-_MAX_SUPERSEDED]
             else:
                 self._copies += 1  # the client asks again, and both may be answered
-        elif self._phase in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) and self._is_judged:
+        elif self._phase in (_SEGMENT_REQUEST, _SEGMENT_ANSWER) and self._is_judged:
             self._end_oddly()
             self._held = _Interrupted(
                 self._phase, self._request, self._announced, bytes(self._data), self._length, self._toggle, self._last_request
             )
         self._begin(request, what)
-        self._phase, self._since, self._is_judged, self._is_lost = _Phase.INITIATE_ANSWER, self._now, True, False
+        self._phase, self._since, self._is_judged, self._is_lost = _INITIATE_ANSWER, self._now, True, False
         if what is SdoFrame.UPLOAD:
             return self._step()
         if what is SdoFrame.DOWNLOAD:
@@ -343,7 +356,7 @@ class SdoFollower:
         if what is SdoFrame.DOWNLOAD:  # whose answer alone does not say whether segments follow
             if self._request[0] & EXPEDITED_BIT:
                 return self._written()
-            self._phase = _Phase.SEGMENT_REQUEST
+            self._phase = _SEGMENT_REQUEST
         self._has_crc = self._has_crc and bool(answer[0] & CRC_BIT)
         return self._begun(answer, what)
 
@@ -351,16 +364,16 @@ class SdoFollower:
         """Take the answer to an initiate request: the data follow, or are in it."""
         if what is SdoFrame.UPLOAD:
             say = self._value_or_segments(answer)
-            self._phase = _Phase.SEGMENT_REQUEST
+            self._phase = _SEGMENT_REQUEST
             if answer[0] & EXPEDITED_BIT:
                 self._end()
             return say
         if what is SdoFrame.DOWNLOAD:
             return self._step(": go on")
         if what is SdoFrame.BLOCK_UPLOAD:
-            self._phase = _Phase.BLOCK_START
+            self._phase = _BLOCK_START
             return self._step(f": in blocks{self._announce(answer)}")
-        self._phase, self._block_size = _Phase.BLOCK_SEGMENTS, answer[4]
+        self._phase, self._block_size = _BLOCK_SEGMENTS, answer[4]
         return self._step(f": go on, {counted(answer[4], 'segment')} a block")
 
     def _value_or_segments(self, frame: bytes) -> Say:
@@ -412,7 +425,7 @@ class SdoFollower:
         followed from here."""
         if what not in INITIATES:
             return words.STRAY_ANSWERS.get(what, words.alone)
-        if self._phase is _Phase.UNKNOWN:
+        if self._phase is _UNKNOWN:
             self._begin(answer, what)
             return self._begun(answer, what)
         # Another transfer is followed, or its end is remembered: that stays as it is
@@ -425,9 +438,9 @@ class SdoFollower:
 
     def _segment_request(self, request: bytes, *, is_upload: bool) -> Say:
         held = self._held
-        if held is not None and self._phase is _Phase.IDLE and request[0] & TOGGLE == held.toggle:
+        if held is not None and self._phase is _IDLE and request[0] & TOGGLE == held.toggle:
             self._resume(held)
-        if self._phase not in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) or is_upload != self._is_upload:
+        if self._phase not in (_SEGMENT_REQUEST, _SEGMENT_ANSWER) or is_upload != self._is_upload:
             self._lost("a request for a segment, outside of such a transfer")
             return words.alone
         if request[0] & TOGGLE != self._toggle and request == self._last_request:
@@ -435,26 +448,26 @@ class SdoFollower:
             return words.once_more
         self._echo = b""
         self._is_odd_request = request[0] & TOGGLE != self._toggle
-        if self._is_odd_request and self._phase is _Phase.SEGMENT_ANSWER:
+        if self._is_odd_request and self._phase is _SEGMENT_ANSWER:
             self._lost("the answer to a segment")
             return words.alone
         self._last_request = request
         self._check_toggle(request[0], "request")
-        self._phase = _Phase.SEGMENT_ANSWER
+        self._phase = _SEGMENT_ANSWER
         return self._step(": next segment") if is_upload else self._segment(request)
 
     def _segment_answer(self, answer: bytes, *, is_upload: bool) -> Say:
-        if self._echo and self._phase is _Phase.SEGMENT_REQUEST and is_upload == self._is_upload:
+        if self._echo and self._phase is _SEGMENT_REQUEST and is_upload == self._is_upload:
             echo, self._echo = self._echo, b""
             if answer[0] & TOGGLE == self._toggle:
                 self._odd = "the toggle bit of a segment's request does not alternate"
                 self._is_odd_proven = False
-                self._phase = _Phase.SEGMENT_ANSWER
+                self._phase = _SEGMENT_ANSWER
                 if not is_upload:
                     self._segment(echo)
-        if answer == self._last_answer and answer[0] & TOGGLE != self._toggle and self._phase is _Phase.SEGMENT_REQUEST:
+        if answer == self._last_answer and answer[0] & TOGGLE != self._toggle and self._phase is _SEGMENT_REQUEST:
             return words.once_more
-        if is_upload != self._is_upload or (self._phase is not _Phase.SEGMENT_ANSWER and self._is_judged):
+        if is_upload != self._is_upload or (self._phase is not _SEGMENT_ANSWER and self._is_judged):
             self._lost("a segment's answer to which there is no request")
             return words.alone
         if self._is_odd_request and answer[0] & TOGGLE != self._toggle:
@@ -465,7 +478,7 @@ class SdoFollower:
         self._last_answer = answer
         self._check_toggle(answer[0], "answer")
         self._toggle ^= TOGGLE
-        self._phase = _Phase.SEGMENT_REQUEST
+        self._phase = _SEGMENT_REQUEST
         if is_upload:
             return self._segment(answer)
         return self._written() if self._last else self._step(": segment confirmed")
@@ -544,16 +557,16 @@ class SdoFollower:
             self._is_doubtful = True  # one of the two is late, from another block
         if is_final or number >= self._block_size:
             self._was_final = is_final
-            self._phase = _Phase.BLOCK_ACKNOWLEDGEMENT
-        elif self._phase is not _Phase.BLOCK_SEGMENTS:
-            self._phase = _Phase.BLOCK_SEGMENTS
+            self._phase = _BLOCK_ACKNOWLEDGEMENT
+        elif self._phase is not _BLOCK_SEGMENTS:
+            self._phase = _BLOCK_SEGMENTS
         return self._step(f": block segment {number}{', the last' if is_final else ''}")
 
     def _has_next_segments(self) -> bool:
         """Return whether segments of a block may come here, if the frame before them is missing."""
-        if self._phase is _Phase.BLOCK_ACKNOWLEDGEMENT:
+        if self._phase is _BLOCK_ACKNOWLEDGEMENT:
             return not self._was_final
-        is_begun = self._phase is (_Phase.BLOCK_START if self._is_upload else _Phase.INITIATE_ANSWER)
+        is_begun = self._phase is (_BLOCK_START if self._is_upload else _INITIATE_ANSWER)
         if not is_begun or self._asked not in (SdoFrame.BLOCK_DOWNLOAD, SdoFrame.BLOCK_UPLOAD):
             return False
         self._lost_in_block("the beginning of a block")
@@ -563,19 +576,19 @@ class SdoFollower:
         """Take a frame of a block transfer, but its initiation and its segments; or a frame that does not fit at all."""
         phase, by_sender = self._phase, self._is_client is not self._is_upload
         if by_sender:
-            if what is SdoFrame.BLOCK_END and phase is _Phase.BLOCK_END:
+            if what is SdoFrame.BLOCK_END and phase is _BLOCK_END:
                 return self._block_end(frame)
-        elif what is SdoFrame.BLOCK_START and phase is _Phase.BLOCK_START:
-            self._phase = _Phase.BLOCK_SEGMENTS
+        elif what is SdoFrame.BLOCK_START and phase is _BLOCK_START:
+            self._phase = _BLOCK_SEGMENTS
             return self._step(": start")
         elif self._may_acknowledge(frame, what):
             return self._acknowledged(frame)
-        elif what is SdoFrame.BLOCK_END_RESPONSE and phase is _Phase.BLOCK_END_ANSWER:
+        elif what is SdoFrame.BLOCK_END_RESPONSE and phase is _BLOCK_END_ANSWER:
             if not self._is_upload:
                 return self._written()
             self._end()
             return self._step(": block transfer ended")
-        if self._is_client and frame[0] & SPECIFIER == SPECIFIER and phase is _Phase.IDLE:
+        if self._is_client and frame[0] & SPECIFIER == SPECIFIER and phase is _IDLE:
             self._say("sdo", f"an SDO request with the command 0x{frame[0]:02X}, which does not exist")
             return words.alone
         if phase in _IN_BLOCK and self._is_of_block(frame, what):
@@ -603,10 +616,10 @@ class SdoFollower:
         return frame[0] & SPECIFIER == (BLOCK_DOWNLOAD if self._is_upload else BLOCK_UPLOAD)
 
     def _may_acknowledge(self, frame: bytes, what: SdoFrame) -> bool:
-        if self._phase is _Phase.BLOCK_END:  # it may be said once more
+        if self._phase is _BLOCK_END:  # it may be said once more
             return frame == self._acknowledgement
         is_acknowledgement = what is SdoFrame.BLOCK_ACKNOWLEDGEMENT
-        return is_acknowledgement and self._phase in (_Phase.BLOCK_SEGMENTS, _Phase.BLOCK_ACKNOWLEDGEMENT)
+        return is_acknowledgement and self._phase in (_BLOCK_SEGMENTS, _BLOCK_ACKNOWLEDGEMENT)
 
     def _acknowledged(self, frame: bytes) -> Say:
         """Count what the receiver has. The sender goes on behind that: with the rest of this sub-block, if something was lost."""
@@ -628,11 +641,11 @@ class SdoFollower:
         self._pending.clear()
         self._sent = 0
         self._was_final = False
-        self._phase = _Phase.BLOCK_END if is_over else _Phase.BLOCK_SEGMENTS
+        self._phase = _BLOCK_END if is_over else _BLOCK_SEGMENTS
         return self._step(f": {counted(taken, 'segment')} taken{again}")
 
     def _block_end(self, frame: bytes) -> Say:
-        self._phase = _Phase.BLOCK_END_ANSWER
+        self._phase = _BLOCK_END_ANSWER
         self._keep_tail(self._tail[: SEGMENT_SIZE - unused_at_end(frame)])
         said = int.from_bytes(frame[1:3], "little")
         if self._is_doubtful:
@@ -655,7 +668,7 @@ class SdoFollower:
     # ---- all ----
 
     def _end(self) -> None:
-        self._phase = _Phase.IDLE if self._is_judged else _Phase.UNKNOWN
+        self._phase = _IDLE if self._is_judged else _UNKNOWN
         self._pending.clear()
 
     def _announce(self, frame: bytes) -> str:
@@ -736,14 +749,14 @@ class _Interrupted(NamedTuple):
     last_request: bytes
 
 
-_BETWEEN: Final = frozenset((_Phase.UNKNOWN, _Phase.IDLE, _Phase.INITIATE_ANSWER))
+_BETWEEN: Final = frozenset((_UNKNOWN, _IDLE, _INITIATE_ANSWER))
 _IN_BLOCK: Final = frozenset(
     (
-        _Phase.BLOCK_START,
-        _Phase.BLOCK_SEGMENTS,
-        _Phase.BLOCK_ACKNOWLEDGEMENT,
-        _Phase.BLOCK_END,
-        _Phase.BLOCK_END_ANSWER,
+        _BLOCK_START,
+        _BLOCK_SEGMENTS,
+        _BLOCK_ACKNOWLEDGEMENT,
+        _BLOCK_END,
+        _BLOCK_END_ANSWER,
     )
 )
 _SEGMENTS: Final = (SdoFrame.DOWNLOAD_SEGMENT, SdoFrame.UPLOAD_SEGMENT)

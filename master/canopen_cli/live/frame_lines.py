@@ -93,7 +93,7 @@ class Buses:
         found = self._tell_lost(now)
         observation = self._observers[channel].observe(record.frame, now)
         if found is not None:
-            observation = observation._replace(findings=(found, *observation.findings))
+            observation = observation.behind(found)
         return self.seconds(record.time), observation
 
     def lost(self, text: str, *, is_finding: bool = False) -> None:

@@ -128,7 +128,7 @@ class _Top:
         bus.lost = ""
         observation = bus.observer.observe(record.frame, now)
         if lost is not None:
-            observation = observation._replace(findings=(lost, *observation.findings))
+            observation = observation.behind(lost)
         bus.view.add(record.frame, observation, now)
         bus.last = now
 
