@@ -142,7 +142,7 @@ async def test_simulated_devices_are_what_the_machine_file_says(tmp_path: Path, 
     assert "own.py:4: in setup: ValueError: so is an error told" in caplog.text
 
 
-@pytest.mark.parametrize(("script", "said"), [("def setup(:\n", "CO331"), (None, "cannot read own.py")])
+@pytest.mark.parametrize(("script", "said"), [("def setup(:\n", "CO331"), (None, "there is no file 'own.py'")])
 def test_a_script_that_cannot_be_used_is_no_traceback_of_the_node(script: str | None, said: str, tmp_path: Path) -> None:
     (tmp_path / "own.dcf").write_bytes(open_description("sample_drive.eds").data)
     (tmp_path / "own.py").write_text(script or "")

@@ -92,7 +92,7 @@ def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen)
 
     With -v, names without an object are told.
 
-    Raises UnusableFileError if a file cannot be read, DictionaryError for its faults.
+    Raises DataError if a file cannot be read, DictionaryError for its faults.
     """
     for path in paths:
         from canopen_data.named_files import read_text

@@ -15,7 +15,7 @@ SUFFIX: Final = ".py"
 def load_device(path: str) -> type[DeclaredDevice]:
     """Run a Python file, and return the device that it declares: its only `DeclaredDevice` with a nameplate, or its last one.
 
-    Raises UnusableFileError if it cannot be read, ScriptError if it fails or declares no device.
+    Raises DataError if it cannot be read, ScriptError if it fails or declares no device.
     """
     script = Script(read_text(Path(path)), path)
     names = script.run()

@@ -73,7 +73,7 @@ MakingEvent: TypeAlias = FileRead | Finding | ValueFilled | ModelMade
 def read_plant(path: Path) -> PlantFile:
     """Return the plant of a plant file, with paths that are relative to the present folder.
 
-    A device's file that is not there may be a sample, and keeps its name. Raises UnusableFileError, DictionaryError.
+    A device's file that is not there may be a sample, and keeps its name. Raises DataError, DictionaryError.
     """
 
     def beside(name: str) -> str:
