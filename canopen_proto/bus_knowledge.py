@@ -110,14 +110,23 @@ class NodeHeard(NamedTuple):
     foreign_command: Seen | None = None
 
 
+class Gap(NamedTuple):
+    """Received frames that were lost before they came here. time: when that was noticed. lost: how many, at least. reason: where
+    they were lost, for people."""
+
+    time: Time
+    lost: int
+    reason: str
+
+
 class BusKnowledge:
     """The memory of one Network. The Network itself writes `times`, `frames` (by CAN-ID) and `other`: this is its hot path.
 
     other: when the last frame without a slot came. hears_all: False if the transport filters. outage: why no frame passes at
-    present, "" while the bus works.
+    present, "" while the bus works. gap: the last frames that were lost on their way to us.
     """
 
-    __slots__ = ("_given_up", "_late", "_second", "_unasked", "frames", "hears_all", "other", "outage", "times")
+    __slots__ = ("_given_up", "_late", "_second", "_unasked", "frames", "gap", "hears_all", "other", "outage", "times")
 
     def __init__(self) -> None:
         self.times: list[Time] = [_NOT_HEARD] * SLOTS
@@ -125,6 +134,7 @@ class BusKnowledge:
         self.other: Time = _NOT_HEARD
         self.hears_all = True
         self.outage = ""
+        self.gap: Gap | None = None
         # By node-ID, so at most 127 of each
         self._given_up: dict[int, tuple[Time, bytes]] = {}  # when, and the multiplexer
         self._unasked: dict[int, Seen] = {}

@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from typing import Any, Final, TypeVar
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
+from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, Gap, NodeHeard
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.follower import Follower
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey
@@ -311,6 +311,16 @@ class Network:
         if has_changed:
             self._back_at = self._back_at if outage else NEVER  # until `_on_outage` has the time
             self.out.events.append(OutageChanged(0, outage))
+
+    @property
+    def gap(self) -> Gap | None:
+        """The last received frames that were lost before they came here: what seems to be missing may be among them."""
+        return self._knowledge.gap
+
+    def note_gap(self, lost: int, reason: str, now: Time) -> None:
+        """Take note that received frames were lost, as the driver's transport says. lost: how many, at least. reason: where, for
+        people."""
+        self._knowledge.gap = Gap(now, lost, reason)
 
     @property
     def back_at(self) -> Time:

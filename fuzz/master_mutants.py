@@ -42,6 +42,22 @@ MASTER_MUTANTS: Final = tuple(
             ("tests/master/test_silence.py",),
         ),
         (
+            "a_gap_unheard_of",
+            "canopen_master/participant/bus.py",
+            "                network.note_gap(item.lost, item.seen, now)\n",
+            "",
+            "this computer lost the frames of a joint, and a cable is looked for that is not loose",
+            ("tests/master/test_faults.py",),
+        ),
+        (
+            "a_gap_for_ever",
+            "canopen_master/silence.py",
+            "    if gap is None or now - gap.time > within:\n",
+            "    if gap is None:\n",
+            "a node is without power, and the frames that were lost here an hour ago are told as the cause",
+            ("tests/master/test_silence.py",),
+        ),
+        (
             "patience_for_ever",
             "canopen_master/motion/path_motion.py",
             "            if not scope.cancelled_caught or self._went_on > since:",

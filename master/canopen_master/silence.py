@@ -34,6 +34,7 @@ SCAN: Final = "canopen scan    (who is there?)"
 DOCTOR: Final = "canopen doctor    (what does the adapter say?)"
 NOT_BOOTED: Final = "it needs longer to start, or did not get the reset"
 LONGER: Final = "a longer sdo_timeout"
+LOST_HERE: Final = "it may be among the frames that were lost here: this program, or its computer, was busy"
 
 
 class Diagnosis(NamedTuple):
@@ -65,10 +66,11 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
             return silent
         stopped = f"canopen nmt preop {node.node_id}    (a node that is Stopped answers again)"
         cause = f"{silent.cause}; or it is Stopped and has no heartbeat"
-        return Diagnosis(silent.seen + theirs, cause, (*silent.tries, stopped))
+        return Diagnosis(silent.seen + theirs + lost_frames(network, now, RECENT), cause, (*silent.tries, stopped))
     node_id, state = node.node_id, _state(heard, node) if commanded is None else commanded
     others, their_cause = _other_clients(network, heard, node, now)
-    seen += theirs + others
+    gap = lost_frames(network, now, RECENT)
+    seen += theirs + others + gap
     if state is NmtState.INITIALISING:
         return Diagnosis(seen, "it was reset, and has not booted since", ("the same once it has booted", SCAN))
     if state is not None and Service.SDO not in SERVICES[state]:
@@ -80,6 +82,8 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
         longer = LONGER if advised is None else f"{LONGER}: {advised:g} s"
         seen += f"; it answered after {_duration(late.behind + node.sdo.timeout)}, too late"
         return Diagnosis(seen, "it is slower than the time limit", (longer,))
+    if gap:
+        return Diagnosis(seen, LOST_HERE, ("the same once more", DOCTOR))
     if now - time > ALIVE or node.heartbeat.lost:
         cause = "its power is off or its cable loose by now, or it is busy"
         return Diagnosis(seen, cause, (f"check power and cable of node {node_id}", SCAN))
@@ -110,11 +114,12 @@ def missing_frame(
             return Diagnosis(silent.seen, f"{silent.cause}; or {cause}", (*silent.tries, *tries))
         return silent if pdo else Diagnosis(silent.seen, f"{cause}; or {silent.cause}", (*tries, *silent.tries))
     commanded, theirs = _foreign_command(heard, node, now)
-    seen += theirs
+    gap = lost_frames(network, now, RECENT)
+    seen += theirs + gap
     state = _state(heard, node) if commanded is None else commanded
     if pdo and state is not None and Service.PDO not in SERVICES[state]:
         return Diagnosis(seen, f"{_capital(state)}: no PDO in that state", (f"canopen nmt start {node.node_id}",))
-    return Diagnosis(seen, cause, tuple(tries))
+    return Diagnosis(seen, f"{LOST_HERE}; or {cause}" if gap else cause, tuple(tries))
 
 
 def _away(network: Network) -> Diagnosis:
@@ -124,6 +129,14 @@ def _away(network: Network) -> Diagnosis:
 def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
     """Return the state that the node reported, or that we commanded since."""
     return node.nmt_state if node.nmt_state is not None else heard.state
+
+
+def lost_frames(network: Network, now: Time, within: Time) -> str:
+    """Return, for people, that received frames were lost here within so many ns; "" if none were."""
+    gap = network.gap
+    if gap is None or now - gap.time > within:
+        return ""
+    return f"; received frames were lost here {_ago(now - gap.time)}, {gap.lost} at least: {gap.reason}"
 
 
 def _foreign_command(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[NmtState | None, str]:

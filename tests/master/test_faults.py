@@ -1,6 +1,7 @@
 """A joint that fails stops its whole chain, and the error says which one, and why."""
 
 import dataclasses
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ from canopen_master import Chain, ChainError, ChainFaultError, ChainState, Host,
 from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_transports import open_transport
+from canopen_transports import ReceiveOverrun, open_transport
 from tests.loops import jump, loop
 from tests.master.world import (
     BUS,
@@ -240,6 +241,21 @@ def test_how_long_a_joint_may_be_silent_is_a_setting(cycles: int) -> None:
             assert "cause: its power is off, its cable is loose" in str(caught.value)
 
     test()
+
+
+@virtual_time
+async def test_frames_that_were_lost_here_are_the_likely_cause_of_a_silence() -> None:
+    async with following_arm(3) as (host, master, arm):
+
+        def lose() -> None:
+            _mute_tpdos(host)
+            lost = ReceiveOverrun("virtual:bus", 12, "the kernel's receive buffer for this socket was full")
+            master.bus().take_in(iter((lost,)), master.now())
+
+        with pytest.raises(ChainFaultError, match="is silent: no PDO") as caught:
+            await follow(arm, at=5, do=lose)
+        assert re.search(r"cause: received frames were lost here \d+ ms ago, 12 at least: the kernel's", str(caught.value))
+        assert "its cable is loose" not in str(caught.value)
 
 
 @virtual_time

@@ -143,6 +143,29 @@ def test_a_node_that_was_never_heard_and_was_stopped_by_another_master() -> None
     assert known.tries[-1] == PREOP
 
 
+BUFFER = "the kernel's receive buffer for this socket was full"
+
+
+def test_frames_that_were_lost_here_are_named_before_a_cable() -> None:
+    for sign in ("705#05", "585#4300100092010200"):
+        desk = Desk()
+        desk.hear(sign, 3 * SECOND)
+        desk.network.note_gap(12, BUFFER, NOW - SECOND)
+        known = desk.sdo()
+        assert known.seen.endswith(f"; received frames were lost here 1 s ago, 12 at least: {BUFFER}")
+        assert known.cause.startswith("it may be among the frames that were lost here")
+        assert desk.pdo().cause.endswith("was busy; or its cable is loose")
+        desk.network.note_gap(12, BUFFER, NOW - 6 * SECOND)
+        assert ("lost here" in desk.sdo().seen, "lost here" in desk.pdo().seen) == (False, False)
+        assert desk.sdo().cause == "its power is off or its cable loose by now, or it is busy"
+    stopped = hearing("705#04")
+    stopped.network.note_gap(1, BUFFER, NOW)
+    assert stopped.sdo().cause == "Stopped: no SDO in that state"
+    nobody = hearing("706#05")
+    nobody.network.note_gap(1, BUFFER, NOW)
+    assert nobody.sdo().seen.endswith(f"received frames were lost here 0 ms ago, 1 at least: {BUFFER}")
+
+
 def test_just_booted() -> None:
     known = hearing("705#00").sdo()
     assert "last heard 120 ms ago (boot-up), NMT state PRE_OPERATIONAL" in known.seen

@@ -23,6 +23,7 @@ from canopen_master.motion.joint_procedures import Followed
 from canopen_master.motion.late_sync import RECENT, our_lateness
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, ProcedureSlot
+from canopen_master.silence import lost_frames
 from canopen_proto.drives.axis.axis import AxisStateChanged
 from canopen_proto.drives.axis.following import FollowingLost
 from canopen_proto.drives.axis.following_procedures import read_unsent
@@ -96,8 +97,15 @@ class Supervision:
     ) -> None:
         if not self.is_on or (isinstance(report, AxisStateChanged | FollowingLost) and report.axis != device.axis.number):
             return
-        foreign = foreign_commands(device, self._participant.bus(device.node.bus))
-        cause = our_lateness(device, foreign) or (Reason(foreign, FIND) if foreign else None)
+        bus = self._participant.bus(device.node.bus)
+        beside = foreign_commands(device, bus)
+        lost = lost_frames(bus.network, device.node.now(), RECENT).removeprefix("; ")
+        is_silence = isinstance(report, HeartbeatLost | NodeGuardingLost) or (
+            isinstance(report, FollowingLost) and report.is_silent
+        )
+        if is_silence and lost:
+            beside = f"{lost}; or {beside}" if beside else lost
+        cause = our_lateness(device, beside) or (Reason(beside, FIND) if beside else None)
         match report:
             case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows, late=cycles):
                 likely = self._lateness(cycles) if cycles else Reason(SILENT, FIND) if is_silent else None

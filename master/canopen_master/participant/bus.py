@@ -286,6 +286,7 @@ class Bus:
                 self.change(BusState.ACTIVE, "a frame was received")
                 network.receive_many(iter((item,)), now)
             elif isinstance(item, ReceiveOverrun):
+                network.note_gap(item.lost, item.seen, now)
                 network.out.events.append(FramesLost(0, item.lost, item.seen))
             elif isinstance(item, BusStateChanged):
                 self.change(item.state, item.seen)
