@@ -430,7 +430,7 @@ TUI_VIEWS: Final = {
     "nodes": TuiView(("1", "f"), "Powerball", (100, 20)),
     "objects": TuiView(("2", "slash", *"6081", "enter", "enter"), "profile_velocity: 20000"),
     "drives": TuiView(("6",), "error 0x3220"),
-    "traffic": TuiView(("5",), "boot-up", (100, 20)),
+    "traffic": TuiView(("5",), "heartbeat", (100, 20)),
 }
 """By the names of their pictures."""
 TUI_LIMIT: Final = 30.0
