@@ -132,7 +132,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "stop_waits_for_a_backup",
-            "procedures/urgent.py",
+            "procedures/objects.py",
             "            yield from act(node.make_way)\n",
             "            continue\n",
             "a stop waits until a long transfer of the drive is over, and the drive runs on for minutes",

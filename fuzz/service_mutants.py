@@ -380,7 +380,7 @@ SERVICE_MUTANTS: Final = tuple(
             "local_node.py",
             "        self.application.connection_lost(now, report.emcy_code)\n",
             "",
-            "the outputs of a device stay on though the PDO that commands them comes no more",
+            "the PDO that commands a device is lost, and its outputs stay on",
             DEVICE_CODE,
         ),
         (
@@ -388,7 +388,7 @@ SERVICE_MUTANTS: Final = tuple(
             "local_node.py",
             "        for node_id in self._errors.lost_nodes.difference(self.communication.monitors):\n",
             "        for node_id in ():\n",
-            "a lost node that a device is told to watch no more stays an error for ever",
+            "a device is told to end its watch over a lost node, and its error stays for ever",
             ("tests/core/test_error_account.py",),
         ),
         (

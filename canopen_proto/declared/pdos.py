@@ -81,9 +81,8 @@ class Rpdo(DefaultPdo):
         event_time: Time = 0,
         cob_id: int | None = None,
     ) -> None:
-        """event_time: ns, in whole ms; if the next PDO does not come within it, the device sends EMCY 0x8250, and its `stop`
-        is called; 0 = no limit. The
-        others: as of `DefaultPdo`."""
+        """event_time: ns, in whole ms; if the next PDO does not come within it, the device sends EMCY 0x8250, and its `stop` is
+        called; 0 = no limit. The others: as of `DefaultPdo`."""
         super().__init__(number, *carried, transmission_type=transmission_type, cob_id=cob_id)
         self.fields |= {INHIBIT_TIME: 0, EVENT_TIMER: event_time // MILLISECOND}
 

@@ -1,21 +1,25 @@
-"""Procedures that read and write the objects of one node by name and value; `steps.upload` and `steps.download` use bytes."""
+"""Procedures that read and write the objects of one node by name and value; `steps.upload` and `steps.download` use bytes. And
+`urgent_request`, which waits for no other transfer of the node."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final, Protocol, TypeVar, overload
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.dictionary.typed import Readable, Writable
-from canopen_proto.machine import Outbox, Outcome, RequestId, Time
-from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoTransferError
+from canopen_proto.machine import MILLISECOND, Outbox, Outcome, RequestId, Time
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Request, SdoTransferError, Wait, act
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
 T = TypeVar("T", bound=Value)
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
 """The abort codes of a device that does not have an object."""
+GIVES_WAY: Final = 50 * MILLISECOND
+"""How long an urgent request waits for the transfer under way: one of a few frames is over by then."""
 
 
 class ObjectAccess(Protocol):
@@ -38,6 +42,9 @@ class ObjectAccess(Protocol):
         """See RemoteNode."""
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
+        """See RemoteNode."""
+
+    def make_way(self, now: Time) -> None:
         """See RemoteNode."""
 
 
@@ -105,3 +112,22 @@ def write(node: ObjectAccess, key: Any, value: Value, *, urgent: bool = False) -
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
         raise SdoTransferError(outcome, "writing")
+
+
+def urgent_request(node: ObjectAccess, submit: Callable[[Time], RequestId]) -> Procedure[Outcome]:
+    """Make an urgent request, as a stop has to, and return its outcome. The transfer that it waits for is ended if it is not over
+    within GIVES_WAY. submit: makes the request, with urgent=True.
+
+    An SDO channel carries one transfer at a time (CiA 301 v4.2.0, 7.2.4). One of a long object takes minutes on a slow bus, and
+    one whose answer is lost takes its whole time-out, which its caller has chosen.
+    """
+    request_id = yield from act(submit)
+    try:
+        while True:
+            outcome = yield Wait(GIVES_WAY, node, lambda each: isinstance(each, Outcome) and each.request_id == request_id)
+            if isinstance(outcome, Outcome):
+                return outcome
+            yield from act(node.make_way)
+    except Cancelled:
+        yield from act(lambda now: node.cancel(request_id, now))
+        raise

@@ -171,8 +171,8 @@ class DeviceDescription:
 
     @property
     def lost_settings(self) -> tuple[Finding, ...]:
-        """The errors by which a configured value of the file is missing here. Who writes the settings to a device would leave it
-        with another value, so he has to know."""
+        """The errors that say which configured values of the file are missing here. A program that writes the settings to a
+        device has to look: the device would keep another value."""
         return tuple(each for each in self.findings if each.severity is Severity.ERROR and each.code in _LOSSES)
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:

@@ -48,9 +48,8 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import index_of, mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures import ProcedureError
-from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.objects import ABSENT, urgent_request
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.procedures.urgent import urgent_request
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoAborted, SdoUploaded
 
@@ -506,8 +505,8 @@ class Lease:
 
 
 def _may_have_power(node: RemoteNode, statusword: int) -> Procedure[bool]:
-    """Ask a drive whether it has power, before whatever else it is asked: a halt waits for the answer. What has no statusword is
-    no drive; one that does not answer may have power. statusword: its index."""
+    """Ask a drive whether it has power. A halt waits for the answer, so the question goes before all others. A node without a
+    statusword is no drive. A drive that does not answer may have power. statusword: its index."""
     outcome = yield from urgent_request(node, lambda now: node.sdo.upload(statusword, 0, now, urgent=True))
     if isinstance(outcome, SdoUploaded):
         return state_of(int.from_bytes(outcome.data, "little")) in POWERED

@@ -17,9 +17,8 @@ from canopen_proto.drives.cia402.modes import ModeControl
 from canopen_proto.drives.cia402.states import Command, State
 from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.objects import urgent_request, write
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, Wait, act, current_time, sleep
-from canopen_proto.procedures.urgent import urgent_request
 from canopen_proto.sdo.contention import SPREAD
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent

@@ -74,8 +74,10 @@ def write_xdd(description: DeviceDescription, kind: FileKind | None = None, *, f
 
 def _check_setting_kept(variable: Variable) -> None:
     value = variable.configured
+    if value is None:
+        return
     text = _clean(_value(variable, value, variable.configured_adds_node_id))
-    if value is not None and read_value(text, variable.data_type)[0] != value:
+    if read_value(text, variable.data_type)[0] != value:
         raise ValueRangeError(f"{variable.label}: configured {value!r} cannot be kept in an XDC; a DCF can hold it")
 
 

@@ -5,8 +5,7 @@ The view looks at `shown`, which is made anew each REFRESH, and asks for somethi
 Those may be called from outside of trio, and return at once. What became of it is in `shown`, or in `notices`.
 
 What is read, written and commanded goes through the service like that of any other client: its guard, its limits and its lease
-decide. What passes on the bus comes from the service, too, as for the page of the web door (`NetTraffic`): nothing is asked for
-that.
+decide. The service's `NetTraffic` also tells what passes on the bus, as it does for the page of the web door. It listens only.
 """
 
 from __future__ import annotations
