@@ -71,20 +71,29 @@ _CANDUMP: Final = r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A
 class Frame:
     """One classical CAN frame. Never change a frame.
 
-    can_id: 0..0x7FF, or 0..0x1FFFFFFF with EXTENDED. data: 0 to 8 bytes; a remote frame has none, and says in `dlc` how many
-    bytes it asks for. key: the routing key, the CAN-ID with the flags above it; kept, not computed, since each layer routes the
-    frame once. The constructor does not check (it is in every hot path); `Frame.parse` and the transports do.
+    can_id: 0..0x7FF, or 0..0x1FFFFFFF with EXTENDED. data: 0 to 8 bytes; a remote frame has none. key: the routing key, the
+    CAN-ID with the flags above it; kept, not computed, since each layer routes the frame once. The constructor does not check (it
+    is in every hot path); `Frame.parse` and the transports do.
     """
 
-    __slots__ = ("can_id", "data", "dlc", "flags", "key")
+    __slots__ = ("_asked", "can_id", "data", "flags", "key")
 
-    def __init__(self, can_id: int, data: bytes = b"", flags: int = 0, dlc: int = -1) -> None:
+    def __init__(self, can_id: int, data: bytes = b"", flags: int = 0, dlc: int = 0) -> None:
+        """dlc: how many bytes a remote frame asks for. That of a data frame is the length of its data, whatever is given here."""
         self.can_id = can_id
         self.data = data
         self.flags = flags
-        self.dlc = len(data) if dlc < 0 else dlc
         # As `routing_key` does, without its call. Nearly every frame has no flags: a test costs less than a shift.
-        self.key: RoutingKey = can_id | flags << 29 if flags else can_id  # type: ignore[assignment]
+        if flags:
+            self.key: RoutingKey = can_id | flags << 29  # type: ignore[assignment]
+            self._asked = dlc
+        else:
+            self.key = can_id  # type: ignore[assignment]
+
+    @property
+    def dlc(self) -> int:
+        """The length on the wire: of the data, or in a remote frame, how many bytes it asks for. 0..8 if the frame is valid."""
+        return self._asked if self.flags & REMOTE else len(self.data)
 
     @classmethod
     def parse(cls, text: str) -> Frame:

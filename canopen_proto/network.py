@@ -195,7 +195,7 @@ class Network:
                 self._shed()
         if timestamp is not None:
             root.timestamp = None
-        if key < SLOTS:
+        if machine is not None or key < SLOTS:
             self._times[key] = now
             self._frames[key] = frame
         else:
@@ -261,7 +261,7 @@ class Network:
                         self._shed()
                         settled = self._settled
                     mark = settled
-                if key < SLOTS:
+                if machine is not None or key < SLOTS:
                     times[key] = time
                     frames[key] = frame
                 else:
@@ -363,16 +363,15 @@ class Network:
 
     def drain(self, now: Time) -> tuple[list[Frame], list[Event]]:
         """Return the frames to send and the events to deliver since the last drain, each in order."""
-        if now < self._now:
-            now = self._now
-        self._now = now
         frames, events = self._sent, self._told
         if events:  # a segment of a transfer tells nothing
-            if len(events) > self._settled:
+            if self._tasks or len(events) > self._settled:
+                if now < self._now:
+                    now = self._now
+                self._now = now
                 self._settle(now)
-            if self._tasks:
                 self._feed(now)
-            to_deliver = events.copy()
+            to_deliver = [*events]  # quicker than a copy
             events.clear()
             self._settled = self._fed = 0
             if self._dropped:
@@ -382,7 +381,7 @@ class Network:
             to_deliver = []
         if not frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
             return [], to_deliver
-        to_send = frames.copy()
+        to_send = [*frames]
         frames.clear()
         return to_send, to_deliver
 

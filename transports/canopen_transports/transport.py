@@ -148,7 +148,7 @@ class NarrowTransport(Protocol):
 
 def check_frame(frame: Frame) -> None:
     """Raise ValueError unless classical CAN can carry the frame. (`Frame` itself does not check, for speed.)"""
-    if not frame.flags and 0 <= frame.can_id <= MAX_STANDARD_ID and frame.dlc == len(frame.data) <= MAX_LENGTH:
+    if not frame.flags and 0 <= frame.can_id <= MAX_STANDARD_ID and len(frame.data) <= MAX_LENGTH:
         return  # nearly all of them
     extended = frame.flags & EXTENDED
     limit = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
@@ -158,8 +158,5 @@ def check_frame(frame: Frame) -> None:
         raise ValueError(f"cannot send {frame!r}: unknown flags 0x{frame.flags:X}")
     if len(frame.data) > MAX_LENGTH:
         raise ValueError(f"cannot send {frame!r}: {len(frame.data)} bytes, classical CAN carries at most {MAX_LENGTH}")
-    if frame.flags & REMOTE:
-        if frame.data or not 0 <= frame.dlc <= MAX_LENGTH:
-            raise ValueError(f"cannot send {frame!r}: a remote frame has no data, and a length of 0..{MAX_LENGTH}")
-    elif frame.dlc != len(frame.data):
-        raise ValueError(f"cannot send {frame!r}: its dlc {frame.dlc} is not the length of its data, {len(frame.data)}")
+    if frame.flags & REMOTE and (frame.data or not 0 <= frame.dlc <= MAX_LENGTH):
+        raise ValueError(f"cannot send {frame!r}: a remote frame has no data, and a length of 0..{MAX_LENGTH}")

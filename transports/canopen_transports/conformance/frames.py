@@ -19,7 +19,6 @@ IMPOSSIBLE: Final = {
     "29-bit identifier too high": Frame(0x20000000, b"", EXTENDED),
     "negative identifier": Frame(-1),
     "nine bytes": Frame(0x601, bytes(9)),
-    "length is not that of the data": Frame(0x601, b"\1", 0, 8),
     "remote frame with data": Frame(0x701, b"\1", REMOTE),
     "remote frame with length 9": Frame(0x701, b"", REMOTE, 9),
     "unknown flag": Frame(0x601, b"", 4),
