@@ -131,11 +131,11 @@ class BlockSender(Transfer):
         offset = 0
         for head in HEADS[sent + 1 : goal if ends_all else goal + 1]:
             behind = offset + SEGMENT_SIZE
-            frames.append(Frame(can_id, head + burst[offset:behind], flags, 8))
+            frames.append(Frame(can_id, head + burst[offset:behind], flags))
             offset = behind
         if ends_all:
             payload = bytes((FINAL | goal,)) + burst[offset:] + bytes(self._unused)
-            frames.append(Frame(can_id, payload, flags, 8))
+            frames.append(Frame(can_id, payload, flags))
         self._sent = goal
         if goal < count:
             self.deadline = now + end.burst_interval

@@ -74,7 +74,7 @@ class ServerBlockDownload(BlockReceiver):
 
     def _complete(self, content: bytes, now: Time) -> None:
         self.state = OVER  # behind its end nothing is on the way
-        answer = Frame(self.end.can_id, END_RESPONSE_PAYLOAD, self.end.flags, 8)
+        answer = Frame(self.end.can_id, END_RESPONSE_PAYLOAD, self.end.flags)
         self._door.write(self, content, self.offset, answer, now)
 
     def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> bool:

@@ -694,7 +694,7 @@ class SdoClient(ChannelEnd):
             line.append(transfer)
             self._ask(queue.question_before(transfer), now)
         else:
-            self._begin(transfer, Frame(self.can_id, transfer.first, self.flags, 8), now)
+            self._begin(transfer, Frame(self.can_id, transfer.first, self.flags), now)
         return request_id
 
     def _begin_next(self, now: Time) -> None:
@@ -707,7 +707,7 @@ class SdoClient(ChannelEnd):
         elif isinstance(taken, bytes):
             self._ask(taken, now)
         else:
-            self._begin(taken, Frame(self.can_id, taken.first, self.flags, 8), now)
+            self._begin(taken, Frame(self.can_id, taken.first, self.flags), now)
 
     def _ask(self, first: bytes, now: Time) -> None:
         """Ask a question before the next request. first: its initiate frame."""

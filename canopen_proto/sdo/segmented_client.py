@@ -103,7 +103,7 @@ class Question(Transfer):
         super().__init__(end, first[1] | first[2] << 8, 0, first)
         self.request_id = NOBODY
         self.is_urgent = False
-        self.frame = Frame(end.can_id, first, end.flags, 8)
+        self.frame = Frame(end.can_id, first, end.flags)
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
         if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.name:
@@ -172,7 +172,7 @@ class Download(SegmentedTransfer):
         self._offset = behind = offset + 7
         toggle = due & TOGGLE
         payload = HEADS[toggle] + content[offset:behind] if behind < len(content) else segment(toggle, content, offset)
-        end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
+        end.out.frames.append(Frame(end.can_id, payload, end.flags))
         self.deadline = now + (self.own_timeout or end.timeout)
 
     @property

@@ -52,7 +52,7 @@ def answer_upload(
         return ServerBlockUpload(end, index, subindex, first, door, content, more, now)
     if 0 < size <= MAX_EXPEDITED and not more:
         payload = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
-        end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
+        end.out.frames.append(Frame(end.can_id, payload, end.flags))
         return None
     return ServerUpload(end, index, subindex, first, door, content, more, now)
 
@@ -105,7 +105,7 @@ class ServerUpload(SegmentedTransfer):
         behind = offset + 7
         if behind < len(content):
             end.last = data
-            end.out.frames.append(Frame(end.can_id, HEADS[due & TOGGLE] + content[offset:behind], end.flags, 8))
+            end.out.frames.append(Frame(end.can_id, HEADS[due & TOGGLE] + content[offset:behind], end.flags))
             self._offset = behind
             self.due = due ^ TOGGLE
             self.deadline = now + end.timeout
@@ -141,7 +141,7 @@ class ServerDownload(SegmentReceiver):
         """Answers the initiate request, which the store has agreed to. size: as announced. most: bytes of what is held whole."""
         super().__init__(end, index, subindex, first)
         self._door = door
-        answer = Frame(end.can_id, pack_initiate(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), end.flags, 8)
+        answer = Frame(end.can_id, pack_initiate(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), end.flags)
         announced = UNKNOWN_SIZE if size is None else size
         limit, piece_size = (MAX_SIZE, SUB_BLOCK_SIZE) if door.takes_pieces else (most, MAX_SIZE)
         self._start(DOWNLOAD_SEGMENT, announced, limit, piece_size, answer, now)

@@ -278,7 +278,7 @@ class SdoServer(ChannelEnd):
             if 0 < size <= MAX_EXPEDITED and command < BLOCK_UPLOAD:  # what is read most: `answer_upload` without its call
                 if content != self.shown or data != self.asked:  # else it is the answer before once more: somebody polls
                     payload = pack_expedited(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
-                    self.asked, self.shown, self.answer = data, content, Frame(self.can_id, payload, self.flags, 8)
+                    self.asked, self.shown, self.answer = data, content, Frame(self.can_id, payload, self.flags)
                 self.out.frames.append(self.answer)
                 return
             transfer = answer_upload(self, index, subindex, data, self._door, content, False, now)
@@ -302,7 +302,7 @@ class SdoServer(ChannelEnd):
             name = data[1:4]
             if name != self.confirmed:  # else the confirmation is the one of the write before, of the same object
                 payload = pack_initiate(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
-                self.confirmed, self.confirmation = name, Frame(self.can_id, payload, self.flags, 8)
+                self.confirmed, self.confirmation = name, Frame(self.can_id, payload, self.flags)
             answer = self.confirmation
             result = self._door.store.write(index, subindex, content, now)
             if result is None:

@@ -114,7 +114,7 @@ class ChannelEnd(Machine):
 
     def send(self, payload: bytes) -> None:
         """Send eight bytes to the other end."""
-        self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
+        self.out.frames.append(Frame(self.can_id, payload, self.flags))
 
     def ignore(self, frame: Frame, reason: str) -> None:
         """Report that a frame was not acted on. reason: for people."""
