@@ -115,7 +115,7 @@ GOALS = (
     Goal("a full bus of 1 Mbit/s into an Observer and a BusView, share of a core", full_bus, 50, 25, 10, " %"),
     Goal("6 joints at 1 ms, the master's process alone, share of a core", of_cycles(6, 1), 18, 10, 10, " %"),
     Goal("30 joints at 4 ms, the master's process alone, share of a core", of_cycles(30, 4), 15, 8, 8, " %"),
-    Goal(f"`{imports.NETWORK}`, over bare Python", starting(imports.NETWORK), 20, 20, 10, " ms"),
+    Goal(f"`{imports.NETWORK}`, over bare Python", starting(imports.NETWORK), 20, 12, 10, " ms"),
     Goal("`canopen --help`, over bare Python", starting(imports.HELP), 70, 70, 50, " ms"),
     Goal("`canopen read` of a simulated node, over bare Python", starting(imports.READ), 250, 250, 200, " ms"),
 )  # fmt: skip
