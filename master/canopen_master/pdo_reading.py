@@ -27,8 +27,7 @@ from canopen_proto.pdo.settings import (
     communication_index,
     places_of,
 )
-from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import SdoTransferError
+from canopen_proto.procedures.objects import ABSENT, unless_refused
 
 _TYPES: Final = {
     (Direction.TPDO, 0): "at a SYNC after a change",
@@ -105,13 +104,11 @@ def _places(dictionary: ObjectDictionary | None) -> Iterator[tuple[Direction, in
 async def read_one(master: Master, node: Node, direction: Direction, number: int) -> PdoRead | None:
     """Read one PDO of a node, with its times; None if the device has none of this number."""
     try:
-        settings = await master.run(read_pdo(node.remote, direction, number))
-    except SdoTransferError as failed:
-        if failed.abort_code not in ABSENT:
-            raise
-        return None
+        settings = await master.run(unless_refused(read_pdo(node.remote, direction, number), ABSENT))
     except InvalidPdoError as strange:  # multiplexed, or impossible
         return PdoRead(direction, number, None, remark=str(strange))
+    if settings is None:
+        return None
     index = communication_index(direction, number)
     inhibit, timer, start = [await _optional(node, index, each) for each in (INHIBIT_TIME, EVENT_TIMER, SYNC_START)]
     settings = replace(
