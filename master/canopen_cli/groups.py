@@ -43,7 +43,7 @@ def pdo() -> None:
 
 
 EMCY: Final = {
-    "watch": ("emcy.watch", "Show emergencies in words as they come, of all nodes or of one, until Ctrl-C. Nothing is sent."),
+    "watch": ("emcy.watch", "Show emergencies in words as they come, of all nodes or of one, until Ctrl-C."),
     "history": ("emcy.history", "Show a node's error register (0x1001) and its last errors (0x1003), the newest first."),
     "clear": ("emcy.history", "Have a node forget its last errors: 0 is written to 0x1003:00."),
 }
@@ -123,14 +123,17 @@ def serve() -> None:
 
 
 FLEET: Final = {
-    "ls": ("fleet.looking", "List the buses and nodes of a fleet."),
+    "ls": ("fleet.looking", "List the buses and nodes of a fleet, as their bridges see them."),
     "read": ("fleet.looking", "Read objects of nodes of a fleet, side by side."),
-    "watch": ("fleet.watching", "Tell what happens in a fleet, until Ctrl-C: who comes and goes, states, emergencies, PDOs."),
-    "halt": ("fleet.halting", "Stop what moves, at one place or everywhere. Anybody may."),
+    "watch": ("fleet.watching", "Tell what happens in a fleet, until Ctrl-C: who comes and goes, states, emergencies."),
+    "halt": ("fleet.halting", "Stop what moves, at one place or everywhere."),
     "web": ("fleet.web", "Serve the machines of a fleet as a page in a browser, and by HTTP, until Ctrl-C."),
-    "record": ("fleet.record", "Record a fleet as Parquet, by site, node and hour, until Ctrl-C."),
-    "query": ("fleet.query", "Ask what a fleet was: values of nodes and objects, or SQL."),
-    "router": ("fleet.router", "Pass on what bridges and viewers say, until Ctrl-C."),
+    "record": (
+        "fleet.record",
+        "Record a fleet as Parquet, by site, node and hour, until Ctrl-C: PDOs, states, emergencies, who comes and goes.",
+    ),
+    "query": ("fleet.query", "Ask what a fleet was: a list of what was recorded, values of nodes and objects, or SQL."),
+    "router": ("fleet.router", "Pass on what bridges and viewers of a fleet say, until Ctrl-C."),
 }
 
 
