@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Final
 
 import trio
 
@@ -31,11 +30,6 @@ from canopen_proto.lss.messages import number_of
 from canopen_proto.lss.scan import Known, Pace, all_waiting, ask, identity_of_selected, matches, search
 from canopen_proto.machine import MILLISECOND, RequestId, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, act
-
-INQUIRIES: Final = (
-    LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL,
-)  # fmt: skip
-"""By the number of the part of an address, 0..3."""
 
 
 class LayerSettings:
