@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TypedDict
 
 
 def counted(number: int, what: str) -> str:
@@ -12,6 +13,15 @@ def counted(number: int, what: str) -> str:
     if what.endswith("y") and what[-2:-1] not in "aeiou":
         return f"{number} {what[:-1]}ies"
     return f"{number} {what}{'es' if what.endswith(('s', 'x', 'sh', 'ch')) else 's'}"
+
+
+class ErrorWords(TypedDict, total=False):
+    """What an error may say beside what failed, as `Explained` takes it: classes with fields of their own pass it on."""
+
+    seen: str
+    cause: str
+    also: Iterable[str]
+    tries: Iterable[str]
 
 
 class Explained:

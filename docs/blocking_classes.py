@@ -365,25 +365,28 @@ class Writer:
         value."""
         indent = " " * 8
         kinds = re.findall(r"Blocking(\w+)", annotation)
-        start = "found = " if kinds else "" if annotation == "None" else "return "
-        if items is None:
-            yield f"{indent}{start}{before}"
+        if not kinds:
+            start = "" if annotation == "None" else "return "
+            yield from [f"{indent}{start}{before}"] if items is None else fitted(f"{start}{before}(", items, ")", indent)
+            return
+        kind = kinds[-1]
+        made, first = ("self._hub.twin", f"Blocking{kind}") if CLASSES[kind].is_kept else (f"Blocking{kind}", "self._hub")
+        twin = f"{made}({first}, "
+        found = before if items is None else f"{before}({', '.join(items)})"
+        if annotation.startswith("dict[tuple["):
+            yield f"{indent}return {{"
+            yield f"{indent}    (self._hub.twin(Blocking{kinds[0]}, node), axis): {twin}each)"
+            yield f"{indent}    for (node, axis), each in dict({found}).items()"
+            yield f"{indent}}}"
+        elif annotation.startswith(("dict[", "Mapping[")):
+            if items:
+                yield from fitted(f"found = {before}(", items, ")", indent)
+                found = "found"
+            yield f"{indent}return {{name: {twin}each) for name, each in dict({found}).items()}}"
+        elif annotation.startswith("tuple["):
+            yield f"{indent}return tuple({twin}each) for each in {found})"
         else:
-            yield from fitted(f"{start}{before}(", items, ")", indent)
-        if kinds:
-            kind = kinds[-1]
-            twin = f"self._hub.twin(Blocking{kind}, " if CLASSES[kind].is_kept else f"Blocking{kind}(self._hub, "
-            if annotation.startswith("dict[tuple["):
-                yield f"{indent}return {{"
-                yield f"{indent}    (self._hub.twin(Blocking{kinds[0]}, node), axis): {twin}each)"
-                yield f"{indent}    for (node, axis), each in dict(found).items()"
-                yield f"{indent}}}"
-            elif annotation.startswith(("dict[", "Mapping[")):
-                yield f"{indent}return {{name: {twin}each) for name, each in dict(found).items()}}"
-            elif annotation.startswith("tuple["):
-                yield f"{indent}return tuple({twin}each) for each in found)"
-            else:
-                yield f"{indent}return {twin}found)"
+            yield from fitted(f"return {made}(", [first, found], ")", indent)
 
     def method(self, owner: str, node: Function, module: str) -> Iterator[str]:
         """Yield the lines of a method."""

@@ -79,6 +79,14 @@ IDENTIFY: Final = (
 )
 """The messages that ask whether a slave is there, in the order in which they are sent."""
 
+INQUIRE: Final = (
+    LssService.INQUIRE_VENDOR,
+    LssService.INQUIRE_PRODUCT,
+    LssService.INQUIRE_REVISION,
+    LssService.INQUIRE_SERIAL,
+)
+"""The messages that ask a selected slave for the numbers of its address, in their order."""
+
 _WAITING: Final = frozenset({LssState.WAITING})
 _CONFIGURATION: Final = frozenset({LssState.CONFIGURATION})
 _BOTH: Final = _WAITING | _CONFIGURATION
@@ -93,16 +101,7 @@ STATES: Final[Mapping[LssService, frozenset[LssState]]] = MappingProxyType(
         LssService.STORE: _CONFIGURATION,
         **dict.fromkeys((*IDENTIFY, LssService.IDENTIFY_NON_CONFIGURED), _BOTH),
         LssService.FASTSCAN: _WAITING,
-        **dict.fromkeys(
-            (
-                LssService.INQUIRE_VENDOR,
-                LssService.INQUIRE_PRODUCT,
-                LssService.INQUIRE_REVISION,
-                LssService.INQUIRE_SERIAL,
-                LssService.INQUIRE_NODE_ID,
-            ),
-            _CONFIGURATION,
-        ),
+        **dict.fromkeys((*INQUIRE, LssService.INQUIRE_NODE_ID), _CONFIGURATION),
     }
 )
 """Request -> the states in which a slave takes it. In the other state, and for other command specifiers, it is silent."""

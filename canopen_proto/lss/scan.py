@@ -29,7 +29,7 @@ from typing import Final, TypeVar
 from canopen_proto.frame import ALL_NODE_IDS, ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.lss.master import WINDOW, LssMaster, LssReply
-from canopen_proto.lss.messages import CONFIRM, FIELD_NAMES, LssAddress, LssService, LssState, number_of
+from canopen_proto.lss.messages import CONFIRM, FIELD_NAMES, INQUIRE, LssAddress, LssService, LssState, number_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, RequestId, Time
 from canopen_proto.manager.scan import Scanner
 from canopen_proto.nmt import NmtCommand
@@ -202,9 +202,7 @@ def identity_of_selected(tool: LssTool, pace: Pace) -> Procedure[list[set[int]]]
     """Return the numbers that the slaves in "configuration" give for each part of their address. pace: how long questions
     wait."""
     numbers: list[set[int]] = []
-    for service in (
-        LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL,
-    ):  # fmt: skip
+    for service in INQUIRE:
         given: set[int] = set()
         for _ in range(TRIES):
             reply = yield from ask(tool, lambda now, service=service: tool.master.inquire(service, now, window=pace.window))  # type: ignore[misc]

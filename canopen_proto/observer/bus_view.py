@@ -12,6 +12,7 @@ MAX_INTERVALS intervals. Memory is bounded, whatever the bus does.
 from __future__ import annotations
 
 from collections import Counter, deque
+from dataclasses import dataclass, field
 from math import sqrt
 from typing import Final, NamedTuple
 
@@ -226,41 +227,85 @@ class BusView:
                 node.state, node.is_said, node.state_at = state, False, now
 
 
+class _Rate:
+    """Frames and bits: all of them, and those of the last second."""
+
+    __slots__ = ("_now_bits", "_now_frames", "_past", "bits", "frames", "slot")
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.bits = 0
+        self.slot = -1  # the present one; it is not over
+        self._now_frames = self._now_bits = 0
+        self._past: deque[tuple[int, int, int]] = deque(maxlen=_SLOTS)  # slots with frames: number, frames, bits
+
+    def add(self, slot: int, bits: int) -> None:
+        """Count a frame."""
+        if slot != self.slot:
+            if self.slot >= 0:
+                self._past.append((self.slot, self._now_frames, self._now_bits))
+            self.slot = slot
+            self._now_frames = self._now_bits = 0
+        self.frames += 1
+        self.bits += bits
+        self._now_frames += 1
+        self._now_bits += bits
+
+    def last_second(self, slot: int) -> tuple[int, int]:
+        """Return the frames and bits of the second that ends where a slot begins."""
+        frames = bits = 0
+        if slot - _SLOTS <= self.slot < slot:
+            frames, bits = self._now_frames, self._now_bits
+        for each, each_frames, each_bits in self._past:
+            if slot - _SLOTS <= each < slot:
+                frames += each_frames
+                bits += each_bits
+        return frames, bits
+
+
+class _Pulse:
+    """Something that comes again and again: the last intervals."""
+
+    __slots__ = ("_intervals", "last")
+
+    def __init__(self) -> None:
+        self.last: Time | None = None
+        self._intervals: deque[Time] = deque(maxlen=MAX_INTERVALS)
+
+    def beat(self, now: Time) -> None:
+        """Take note that it has come."""
+        if self.last is not None:
+            self._intervals.append(now - self.last)
+        self.last = now
+
+    def intervals(self) -> Intervals | None:
+        """Return the figures of the last intervals; None if there is none."""
+        count = len(self._intervals)
+        if not count:
+            return None
+        mean = sum(self._intervals) / count
+        variance = sum((each - mean) ** 2 for each in self._intervals) / count
+        return Intervals(count, min(self._intervals), mean, max(self._intervals), sqrt(variance))
+
+
+@dataclass(slots=True)
 class _NodeView:
     """One node, as it was heard; see `NodeFigures`."""
 
-    __slots__ = (
-        "_emergencies",
-        "_errors",
-        "_register",
-        "aborts",
-        "booted",
-        "heard_by",
-        "heartbeat",
-        "is_said",
-        "last_heard",
-        "node_id",
-        "rate",
-        "state",
-        "state_at",
-        "transfers",
-    )  # fmt: skip
-
-    def __init__(self, node_id: int) -> None:
-        self.node_id = node_id
-        self.state: NmtState | int | None = None
-        self.is_said = False
-        self.state_at: Time | None = None
-        self.booted = 0
-        self.last_heard: Time | None = None
-        self.heard_by = ""
-        self.heartbeat = _Pulse()
-        self.rate = _Rate()
-        self.transfers = 0
-        self.aborts = 0
-        self._errors: list[int] = []
-        self._register = 0
-        self._emergencies: deque[Emergency] = deque(maxlen=MAX_EMERGENCIES)
+    node_id: int
+    state: NmtState | int | None = None
+    is_said: bool = False
+    state_at: Time | None = None
+    booted: int = 0
+    last_heard: Time | None = None
+    heard_by: str = ""
+    heartbeat: _Pulse = field(default_factory=_Pulse)
+    rate: _Rate = field(default_factory=_Rate)
+    transfers: int = 0
+    aborts: int = 0
+    _errors: list[int] = field(default_factory=list)
+    _register: int = 0
+    _emergencies: deque[Emergency] = field(default_factory=lambda: deque(maxlen=MAX_EMERGENCIES))
 
     def error_control(self, data: bytes, now: Time) -> None:
         """Take a boot-up, a heartbeat or a guarding answer."""
@@ -323,64 +368,3 @@ class _NodeView:
 
 
 _ABORT_BYTE: Final = bytes((_ABORT,))
-
-
-class _Rate:
-    """Frames and bits: all of them, and those of the last second."""
-
-    __slots__ = ("_now_bits", "_now_frames", "_past", "bits", "frames", "slot")
-
-    def __init__(self) -> None:
-        self.frames = 0
-        self.bits = 0
-        self.slot = -1  # the present one; it is not over
-        self._now_frames = self._now_bits = 0
-        self._past: deque[tuple[int, int, int]] = deque(maxlen=_SLOTS)  # slots with frames: number, frames, bits
-
-    def add(self, slot: int, bits: int) -> None:
-        """Count a frame."""
-        if slot != self.slot:
-            if self.slot >= 0:
-                self._past.append((self.slot, self._now_frames, self._now_bits))
-            self.slot = slot
-            self._now_frames = self._now_bits = 0
-        self.frames += 1
-        self.bits += bits
-        self._now_frames += 1
-        self._now_bits += bits
-
-    def last_second(self, slot: int) -> tuple[int, int]:
-        """Return the frames and bits of the second that ends where a slot begins."""
-        frames = bits = 0
-        if slot - _SLOTS <= self.slot < slot:
-            frames, bits = self._now_frames, self._now_bits
-        for each, each_frames, each_bits in self._past:
-            if slot - _SLOTS <= each < slot:
-                frames += each_frames
-                bits += each_bits
-        return frames, bits
-
-
-class _Pulse:
-    """Something that comes again and again: the last intervals."""
-
-    __slots__ = ("_intervals", "last")
-
-    def __init__(self) -> None:
-        self.last: Time | None = None
-        self._intervals: deque[Time] = deque(maxlen=MAX_INTERVALS)
-
-    def beat(self, now: Time) -> None:
-        """Take note that it has come."""
-        if self.last is not None:
-            self._intervals.append(now - self.last)
-        self.last = now
-
-    def intervals(self) -> Intervals | None:
-        """Return the figures of the last intervals; None if there is none."""
-        count = len(self._intervals)
-        if not count:
-            return None
-        mean = sum(self._intervals) / count
-        variance = sum((each - mean) ** 2 for each in self._intervals) / count
-        return Intervals(count, min(self._intervals), mean, max(self._intervals), sqrt(variance))

@@ -26,6 +26,7 @@ without a command is no fault: it may start by itself (CiA 301 v4.2.0, 7.3.2.2.1
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Final
 
 from canopen_proto.explained import counted
@@ -69,42 +70,36 @@ _STEADY: Final = 3
 _TOGGLE: Final = 0x80
 
 
+@dataclass(slots=True)
 class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
-    __slots__ = (
-        "both", "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_excused", "is_late", "is_reset",
-        "is_said", "is_told", "is_up", "last", "limit", "pairs", "period", "rhythm", "same_toggles", "since", "state", "steady",
-        "suspect", "suspected", "toggle", "turns",
-    )  # fmt: skip
-
-    def __init__(self) -> None:
-        self.state: int | None = None
-        self.since: Time = 0
-        self.turns: list[int] = []  # states without a reason for the change, the oldest first
-        self.limit: Time = NEVER  # of its heartbeat, by its most impatient consumer
-        self.deadline: Time = NEVER
-        self.is_told = False  # that an SDO went to the stopped node
-        self.is_said = False  # the state, by the node itself
-        self.period: Time = 0  # of its heartbeat (0x1017); 0 if it is not known, or switched off
-        self.rhythm: Time = 0  # the longest of some even intervals between its heartbeats; 0 if it has shown none
-        self.steady = 0  # intervals in a row that are as long as the one before
-        self.is_late = False  # its last heartbeat came late
-        self.is_excused = False  # it was silent while no frame was heard at all
-        self.last: Time = -NEVER  # its last heartbeat
-        self.interval: Time = 0  # from the heartbeat before it
-        self.both: Time = 0  # its last two intervals together
-        self.pairs = 0  # heartbeats in a row that came in two rhythms
-        self.byte = -1  # of its last heartbeat
-        self.suspect: BusFinding | None = None  # what its next heartbeat may prove
-        self.suspected: Time = 0  # when that was
-        self.guarded: Time = -NEVER  # its last guarding answer
-        self.guard_time: Time = NEVER  # the least time between two of them
-        self.same_toggles = 0  # answers in a row that did not alternate
-        self.is_asked = False  # by a guarding request
-        self.is_up = False  # it has sent something since it booted
-        self.is_reset = False  # it was told to boot
-        self.toggle: int | None = None  # the toggle bit of its last guarding answer
+    state: int | None = None
+    since: Time = 0
+    turns: list[int] = field(default_factory=list)  # states without a reason for the change, the oldest first
+    limit: Time = NEVER  # of its heartbeat, by its most impatient consumer
+    deadline: Time = NEVER
+    is_told: bool = False  # that an SDO went to the stopped node
+    is_said: bool = False  # the state, by the node itself
+    period: Time = 0  # of its heartbeat (0x1017); 0 if it is not known, or switched off
+    rhythm: Time = 0  # the longest of some even intervals between its heartbeats; 0 if it has shown none
+    steady: int = 0  # intervals in a row that are as long as the one before
+    is_late: bool = False  # its last heartbeat came late
+    is_excused: bool = False  # it was silent while no frame was heard at all
+    last: Time = -NEVER  # its last heartbeat
+    interval: Time = 0  # from the heartbeat before it
+    both: Time = 0  # its last two intervals together
+    pairs: int = 0  # heartbeats in a row that came in two rhythms
+    byte: int = -1  # of its last heartbeat
+    suspect: BusFinding | None = None  # what its next heartbeat may prove
+    suspected: Time = 0  # when that was
+    guarded: Time = -NEVER  # its last guarding answer
+    guard_time: Time = NEVER  # the least time between two of them
+    same_toggles: int = 0  # answers in a row that did not alternate
+    is_asked: bool = False  # by a guarding request
+    is_up: bool = False  # it has sent something since it booted
+    is_reset: bool = False  # it was told to boot
+    toggle: int | None = None  # the toggle bit of its last guarding answer
 
     def wait(self, now: Time) -> None:
         """Begin to wait for its next heartbeat."""

@@ -46,7 +46,7 @@ from canopen_proto.pdo.settings import (
     step_text,
 )
 from canopen_proto.pdo.slots import described_pdos
-from canopen_proto.procedures.objects import ABSENT, ObjectAccess, UnexpectedLengthError, read_if_present
+from canopen_proto.procedures.objects import ABSENT, ObjectAccess, UnexpectedLengthError, read_if_present, unless_refused
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoTransferError, act, download, upload
 from canopen_proto.sdo.client import SdoClient
 
@@ -267,14 +267,9 @@ def steps_to_destroy(
     """
     steps = []
     for pdo in pdos:
-        try:
-            data = yield from upload(node.sdo, communication_index(*pdo.place), COB_ID)
-        except SdoTransferError as failed:
-            if failed.abort_code not in ABSENT:
-                raise
-            continue
-        present = replace(pdo, cob_id=int.from_bytes(data, "little"))
-        if present.is_valid and which(present.cob_id):
+        data = yield from unless_refused(upload(node.sdo, communication_index(*pdo.place), COB_ID), ABSENT)
+        present = pdo if data is None else replace(pdo, cob_id=int.from_bytes(data, "little"))
+        if data is not None and present.is_valid and which(present.cob_id):
             steps.append(cob_id_step(present.destroyed))
     return steps
 
@@ -343,13 +338,9 @@ def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
     described = {pdo.place: pdo for pdo in described_pdos(node.dictionary, node.node_id)}
     differences = []
     for direction, number in places_of(node.dictionary.objects):
-        present: PdoSettings | None = None
         try:
-            read = yield from read_pdo(node, direction, number)
-            present = read if read.is_valid and read.entries else None
-        except SdoTransferError as failed:
-            if failed.abort_code not in ABSENT:
-                raise
+            read = yield from unless_refused(read_pdo(node, direction, number), ABSENT)
+            present = read if read is not None and read.is_valid and read.entries else None
         except InvalidPdoError:
             if (direction, number) not in node.unread_pdos:
                 _leave(node, (direction, number))
@@ -406,11 +397,7 @@ def read_commanded(node: PdoNode, keys: Iterable[Mux]) -> Procedure[None]:
     cannot be read, such as a write-only command. Call it before the RPDO is exchanged. Raises SdoTransferError if nobody
     answers. keys: the muxes of these objects; the values go to `values`."""
     for key in keys:
-        try:
-            yield from read_if_present(node, split_mux(key))
-        except SdoTransferError as failed:
-            if failed.origin is not AbortOrigin.PEER:
-                raise
+        yield from unless_refused(read_if_present(node, split_mux(key)))
 
 
 def _mapping_of(node: PdoNode, settings: PdoSettings, *, lacks_objects: bool = False) -> Mapping:

@@ -152,20 +152,9 @@ class PdoConsumer(Machine):
     """
 
     __slots__ = (
-        "_held",
-        "_held_timestamp",
-        "_window",
-        "_window_end",
-        "at_once",
-        "enabled",
-        "event_time",
-        "key",
-        "mapping",
-        "node_id",
-        "number",
-        "store",
-        "synchronous",
-    )
+        "_held", "_held_timestamp", "_window", "_window_end", "at_once", "enabled", "event_time", "key", "mapping", "node_id",
+        "number", "store", "synchronous",
+    )  # fmt: skip
 
     def __init__(
         self,

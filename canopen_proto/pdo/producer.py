@@ -85,25 +85,10 @@ class PdoProducer(Machine):
     """
 
     __slots__ = (
-        "_awaits_start",
-        "_event_due",
-        "_inhibited_until",
-        "_sample",
-        "_syncs",
-        "_triggered",
-        "answers_requests",
-        "enabled",
-        "event_time",
-        "inhibit_time",
-        "key",
-        "mapping",
-        "node_id",
-        "number",
-        "sent_at",
-        "store",
-        "sync_start",
+        "_awaits_start", "_event_due", "_inhibited_until", "_sample", "_syncs", "_triggered", "answers_requests", "enabled",
+        "event_time", "inhibit_time", "key", "mapping", "node_id", "number", "sent_at", "store", "sync_start",
         "transmission_type",
-    )
+    )  # fmt: skip
 
     def __init__(
         self,

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, Final, Protocol, TypeVar, overload
 
-from canopen_proto.abort import AbortCode
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.dictionary.typed import Readable, Writable
@@ -15,6 +15,7 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError,
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
 T = TypeVar("T", bound=Value)
+R = TypeVar("R")
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
 """The abort codes of a device that does not have an object."""
@@ -89,10 +90,16 @@ def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
         variable = node.dictionary.variable(key)
     except ObjectNotFoundError:
         return None
+    return (yield from unless_refused(read(node, variable), ABSENT))
+
+
+def unless_refused(procedure: Procedure[R], codes: Collection[int] = ()) -> Procedure[R | None]:
+    """Carry out a procedure; return None if the device refuses what it asks for. Raises SdoTransferError for any other end of a
+    transfer. codes: the abort codes that count as a refusal, such as ABSENT; without any, all that the device sends."""
     try:
-        return (yield from read(node, variable))
+        return (yield from procedure)
     except SdoTransferError as failed:
-        if failed.abort_code in ABSENT:
+        if failed.abort_code in codes if codes else failed.origin is AbortOrigin.PEER:
             return None
         raise
 

@@ -70,18 +70,9 @@ class OtherClient:
     """
 
     __slots__ = (
-        "_is_ambiguous",
-        "_is_twofold",
-        "_names",
-        "_written",
-        "count",
-        "heard",
-        "heard_at",
-        "in_blocks",
-        "last",
-        "unfinished",
+        "_is_ambiguous", "_is_twofold", "_names", "_written", "count", "heard", "heard_at", "in_blocks", "last", "unfinished",
         "until",
-    )
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.count = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TypeAlias
 
 from canopen_proto.frame import Frame
@@ -14,6 +15,7 @@ OnFrame: TypeAlias = Callable[[Frame, Time], object]
 OnEvent: TypeAlias = Callable[[Event], object]
 
 
+@dataclass(eq=False, repr=False)
 class WorldMember:
     """See this module's text; made by `World.host` and the like.
 
@@ -22,25 +24,17 @@ class WorldMember:
     has no network.
     """
 
-    def __init__(
-        self,
-        name: str,
-        *,
-        network: Network | None = None,
-        device: LocalNode | None = None,
-        on_event: OnEvent = lambda event: None,
-        on_frame: OnFrame = lambda frame, now: None,
-    ) -> None:
-        self.name = name
-        self.network = network
-        self.device = device
-        self.events: list[Event] = []
-        self.on_event = on_event
-        self.on_frame = on_frame
-        self.paused_until: Time = -NEVER
-        self.off_until: Time = -NEVER
-        self._held: list[Frame] = []
-        self._is_off = False
+    name: str
+    _: KW_ONLY
+    network: Network | None = None
+    device: LocalNode | None = None
+    events: list[Event] = field(default_factory=list, init=False)
+    on_event: OnEvent = lambda event: None
+    on_frame: OnFrame = lambda frame, now: None
+    paused_until: Time = field(default=-NEVER, init=False)
+    off_until: Time = field(default=-NEVER, init=False)
+    _held: list[Frame] = field(default_factory=list, init=False)
+    _is_off: bool = field(default=False, init=False)
 
     @property
     def node_id(self) -> int:

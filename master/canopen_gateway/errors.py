@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import ClassVar, Final
+from typing import ClassVar, Final, Unpack
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.explained import Explained
+from canopen_proto.explained import ErrorWords, Explained
 from canopen_proto.gateway import GatewayCode
 
 NOT_ALLOWED: Final = "CO150"
@@ -44,8 +43,8 @@ class GatewayError(Explained, Exception):
     CODE: ClassVar[str]
     """The code of all errors of this class."""
 
-    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(self.CODE, failed, seen=seen, cause=cause, tries=tries)
+    def __init__(self, failed: str, **words: Unpack[ErrorWords]) -> None:
+        super().__init__(self.CODE, failed, **words)
 
 
 class NotAllowedError(GatewayError, PermissionError):
@@ -111,11 +110,9 @@ class GatewayRefusedError(GatewayError):
         node_id: int = 0,
         index: int | None = None,
         subindex: int | None = None,
-        seen: str = "",
-        cause: str = "",
-        tries: Iterable[str] = (),
+        **words: Unpack[ErrorWords],
     ) -> None:
-        super().__init__(failed, seen=seen, cause=cause, tries=tries)
+        super().__init__(failed, **words)
         self.gateway_code = gateway_code
         self.abort_code = abort_code
         self.node_id = node_id

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Final
 
 import trio
 
@@ -31,11 +30,6 @@ from canopen_proto.lss.messages import number_of
 from canopen_proto.lss.scan import Known, Pace, all_waiting, ask, identity_of_selected, matches, search
 from canopen_proto.machine import MILLISECOND, RequestId, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, act
-
-INQUIRIES: Final = (
-    LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL,
-)  # fmt: skip
-"""By the number of the part of an address, 0..3."""
 
 
 class LayerSettings:
@@ -70,8 +64,7 @@ class LayerSettings:
     async def command(self, what: str, give: Callable[[LssMaster, Time], RequestId]) -> LssReply:
         """Give a command of the LSS master, and return its answers. what: its name, for a refusal. give: gives it, at a time."""
         async with self._in_turn(what) as tool:
-            reply: LssReply = await self._master.run(ask(tool, lambda now: give(tool.master, now)))
-            return reply
+            return await self._master.run(ask(tool, lambda now: give(tool.master, now)))
 
     async def inquire(self, service: LssService) -> int | None:
         """Ask the selected device for a number of its identity, or its node-ID; None without an answer. service: an inquiry."""
@@ -100,8 +93,7 @@ class LayerSettings:
     ) -> list[LssAddress]:
         """Find all devices of a type, with and without a node-ID. revisions, serials: least and greatest. Raises LssError."""
         async with self._in_turn("slowscan") as tool:
-            found: list[LssAddress] = await self._master.run(search(tool, Pace(), vendor_id, product_code, revisions, serials))
-            return found
+            return await self._master.run(search(tool, Pace(), vendor_id, product_code, revisions, serials))
 
     async def assign_all(self, first: int, store: bool, known: Known, window: Time) -> LssAssignment:
         """Give all devices without a node-ID theirs, from `first` on; return what became of each, as canopen_proto/lss/assign.py
@@ -110,8 +102,7 @@ class LayerSettings:
             self.is_selected = False
             wanted = in_order(range(first, 128))
             assignment = LssAssignment(tool, wanted, Pace(window=window), known, store)
-            done: LssAssignment = await self._master.run(assign_all(assignment))
-            return done
+            return await self._master.run(assign_all(assignment))
 
     @asynccontextmanager
     async def _in_turn(self, what: str) -> AsyncIterator[LssTool]:

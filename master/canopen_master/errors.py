@@ -14,13 +14,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence, Sized
 from numbers import Real
-from typing import Final
+from typing import Final, Unpack
 
 from canopen_master.silence import SCAN, sdo_silence, two_devices
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
-from canopen_proto.explained import Explained, counted
+from canopen_proto.explained import ErrorWords, Explained, counted
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import NOT_CONFIRMED
@@ -75,15 +75,15 @@ class DeviceRefusedError(MasterError, ValueError):
     """A simulated device cannot be made as its entry says: its node-ID is not known, or another one has it; a value does not
     fit. For the fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(SIMULATED_DEVICE, failed, seen=seen, tries=tries)
+    def __init__(self, failed: str, **words: Unpack[ErrorWords]) -> None:
+        super().__init__(SIMULATED_DEVICE, failed, **words)
 
 
 class DemonstrationRefusedError(MasterError, ValueError):
     """A demonstration cannot be shown with these joints: one has no scale, or does not turn. For the fields see Explained."""
 
-    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
-        super().__init__(DEMONSTRATION_REFUSED, failed, seen=seen, tries=tries)
+    def __init__(self, failed: str, **words: Unpack[ErrorWords]) -> None:
+        super().__init__(DEMONSTRATION_REFUSED, failed, **words)
 
 
 class NoDriveInFileError(MasterError, ValueError):
@@ -127,10 +127,8 @@ class CallTimeoutError(MasterError, TimeoutError):
 class NodeError(MasterError):
     """An error of one node. node_id: 1..127; bus: the name of its bus. For the other fields see Explained."""
 
-    def __init__(
-        self, code: str, node_id: int, bus: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
-    ) -> None:
-        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+    def __init__(self, code: str, node_id: int, bus: str, failed: str, **words: Unpack[ErrorWords]) -> None:
+        super().__init__(code, failed, **words)
         self.node_id = node_id
         self.bus = bus
 
@@ -279,11 +277,9 @@ class PlanRefusedError(MasterError, ValueError):
         joint: int | None = None,
         value: float | None = None,
         limit: float | None = None,
-        seen: str = "",
-        cause: str = "",
-        tries: Iterable[str] = (),
+        **words: Unpack[ErrorWords],
     ) -> None:
-        super().__init__(PLAN_REFUSED, failed, seen=seen, cause=cause, tries=tries)
+        super().__init__(PLAN_REFUSED, failed, **words)
         self.joint = joint
         self.value = value
         self.limit = limit
@@ -321,18 +317,8 @@ class ChainError(MasterError):
     """A chain could not carry out a command. chain: its name. joint: the joint that failed, "" for all. For the other fields see
     Explained."""
 
-    def __init__(
-        self,
-        code: str,
-        chain: str,
-        failed: str,
-        *,
-        joint: str = "",
-        seen: str = "",
-        cause: str = "",
-        tries: Iterable[str] = (),
-    ) -> None:
-        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+    def __init__(self, code: str, chain: str, failed: str, *, joint: str = "", **words: Unpack[ErrorWords]) -> None:
+        super().__init__(code, failed, **words)
         self.chain = chain
         self.joint = joint
 
@@ -364,19 +350,10 @@ class ChainFaultError(ChainError):
         statusword: int,
         error_code: int,
         emcy: EmcyReceived | None,
-        seen: str,
-        cause: str = "",
-        tries: Iterable[str],
+        **words: Unpack[ErrorWords],
     ) -> None:
-        super().__init__(
-            CHAIN_FAULT,
-            chain,
-            f"chain {chain} was stopped: {joint} (node {node_id} on {bus}) {reason}",
-            joint=joint,
-            seen=seen,
-            cause=cause,
-            tries=tries,
-        )
+        failed = f"chain {chain} was stopped: {joint} (node {node_id} on {bus}) {reason}"
+        super().__init__(CHAIN_FAULT, chain, failed, joint=joint, **words)
         self.node_id = node_id
         self.bus = bus
         self.reason = reason

@@ -7,7 +7,14 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from typing import Any, TypeVar, overload
 
-from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilentError, SdoError, UnexpectedAnswerError
+from canopen_master.errors import (
+    NOT_HEARD,
+    UNEXPECTED_ANSWER,
+    NodeSilentError,
+    SdoError,
+    SdoRefusedError,
+    UnexpectedAnswerError,
+)
 from canopen_master.node_pdos import NodePdos
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant
@@ -33,6 +40,7 @@ from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoDifference
 from canopen_proto.pdo.settings import COB_ID, FIRST_PDO_RECORD, LAST_PDO_RECORD
+from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_transports.loop import current_loop, protected
@@ -496,6 +504,16 @@ class Node(Peer):
         tries = ("a longer timeout",) if is_asked else ()
         known = missing_frame(self.network, self.remote, self.now(), cause, tries, pdo=False, is_asked=is_asked)
         raise NodeSilentError(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
+
+
+async def number_if_present(node: Node, index: int, subindex: int = 0) -> int | None:
+    """Read an object as an unsigned number; return None if the device does not have it."""
+    try:
+        return int.from_bytes(await node.read_bytes(index, subindex), "little")
+    except SdoRefusedError as refused:
+        if refused.abort_code not in ABSENT:
+            raise
+        return None
 
 
 def _time_of(patience: float | None) -> Time | None:

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
-from canopen_master.errors import SdoRefusedError
 from canopen_master.master import Master
-from canopen_master.node import Node
+from canopen_master.node import Node, number_if_present
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.frame import can_id_of
@@ -27,8 +26,7 @@ from canopen_proto.pdo.settings import (
     communication_index,
     places_of,
 )
-from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import SdoTransferError
+from canopen_proto.procedures.objects import ABSENT, unless_refused
 
 _TYPES: Final = {
     (Direction.TPDO, 0): "at a SYNC after a change",
@@ -105,30 +103,19 @@ def _places(dictionary: ObjectDictionary | None) -> Iterator[tuple[Direction, in
 async def read_one(master: Master, node: Node, direction: Direction, number: int) -> PdoRead | None:
     """Read one PDO of a node, with its times; None if the device has none of this number."""
     try:
-        settings = await master.run(read_pdo(node.remote, direction, number))
-    except SdoTransferError as failed:
-        if failed.abort_code not in ABSENT:
-            raise
-        return None
+        settings = await master.run(unless_refused(read_pdo(node.remote, direction, number), ABSENT))
     except InvalidPdoError as strange:  # multiplexed, or impossible
         return PdoRead(direction, number, None, remark=str(strange))
+    if settings is None:
+        return None
     index = communication_index(direction, number)
-    inhibit, timer, start = [await _optional(node, index, each) for each in (INHIBIT_TIME, EVENT_TIMER, SYNC_START)]
+    inhibit, timer, start = [await number_if_present(node, index, each) for each in (INHIBIT_TIME, EVENT_TIMER, SYNC_START)]
     settings = replace(
         settings,
         inhibit_time=None if inhibit is None else inhibit * INHIBIT_UNIT,
         event_time=None if timer is None else timer * MILLISECOND,
     )
     return PdoRead(direction, number, settings, start if direction is Direction.TPDO else None)
-
-
-async def _optional(node: Node, index: int, subindex: int) -> int | None:
-    try:
-        return int.from_bytes(await node.read_bytes(index, subindex), "little")
-    except SdoRefusedError as refused:
-        if refused.abort_code not in ABSENT:
-            raise
-        return None
 
 
 def type_text(pdo: PdoSettings) -> str:

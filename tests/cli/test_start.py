@@ -16,15 +16,12 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from canopen_cli import app
+from canopen_cli import app, groups
 from canopen_cli.drive import group as drive
-from canopen_cli.eds import group as eds
-from canopen_cli.lss import group as lss
-from canopen_cli.net import group as net
-from canopen_cli.serve import group as serve
 from canopen_cli.shared.lazy import LazyGroup
 from canopen_cli.shared.problem import ExitCode
 
+GROUPS = [each for each in vars(groups).values() if isinstance(each, LazyGroup)]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
 
 
@@ -72,7 +69,7 @@ def test_version_and_help_need_no_library_but_click(option: str) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.parametrize("group", [app.cli, eds.eds, drive.drive, lss.lss, net.net, serve.serve], ids=str)
+@pytest.mark.parametrize("group", [app.cli, drive.drive, *GROUPS], ids=lambda each: each.name)
 def test_each_line_of_the_list_is_what_the_command_says_of_itself(group: click.Command) -> None:
     assert isinstance(group, LazyGroup)
     context = click.Context(group)

@@ -33,9 +33,8 @@ from canopen_cli.tui.guest import run_beside
 from canopen_cli.tui.machine_watch import MOST_LINES, MachineWatch
 from canopen_cli.tui.questions import Ask
 from canopen_cli.tui.rows import Rows, cell
-from canopen_cli.tui.shown import ObjectPlace
 from canopen_cli.tui.views import traffic_text
-from canopen_gateway import GatewaySession, Permission, open_gateway
+from canopen_gateway import GatewaySession, Permission, WatchedObject, open_gateway
 from canopen_gateway.traffic import FeedRow
 from canopen_master import open_master
 from canopen_master.participant.patient_clock import PatientClock
@@ -183,7 +182,7 @@ def test_a_write_is_asked_about_twice_and_read_back(monkeypatch: pytest.MonkeyPa
     async def test(pilot: Pilot[None], held: Held) -> None:
         view: Any = pilot.app
         await pilot.press("2", "slash", *"6081", "enter", "enter")
-        await until(pilot, lambda: held.watch.shown.objects.get(ObjectPlace(BUS, 3, 0x6081, 0)))
+        await until(pilot, lambda: held.watch.shown.objects.get(WatchedObject(BUS, 3, 0x6081, 0)))
         for answers in (("escape",), (*"700", "escape"), (*"700", "enter", "escape"), (*"700", "enter", *"y", "enter")):
             await pilot.press("e")
             await until(pilot, lambda: isinstance(view.screen, Ask))
@@ -192,7 +191,7 @@ def test_a_write_is_asked_about_twice_and_read_back(monkeypatch: pytest.MonkeyPa
                 await pilot.press("escape")
         assert found == []
         await pilot.press("e", *"700", "enter", *"yes", "enter")
-        await until(pilot, lambda: held.watch.shown.objects[ObjectPlace(BUS, 3, 0x6081, 0)].text == "700")
+        await until(pilot, lambda: held.watch.shown.objects[WatchedObject(BUS, 3, 0x6081, 0)].text == "700")
         assert [each[:4] for each in found] == [(BUS, 3, 0x6081, 0)]
         await pilot.press("e", *"never", "enter", *"yes", "enter")
         await until(pilot, lambda: shows(view, "has no constant 'never'"))
@@ -225,7 +224,7 @@ def test_an_nmt_command_and_the_halts(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_more_than_may_be_watched_is_refused_and_the_others_go_on() -> None:
     async def test(pilot: Pilot[None], held: Held) -> None:
         view: Any = pilot.app
-        places = [ObjectPlace(BUS, node_id, 0x1000 + place, 0) for node_id in (3, 4) for place in range(0x11)]
+        places = [WatchedObject(BUS, node_id, 0x1000 + place, 0) for node_id in (3, 4) for place in range(0x11)]
         most = held.watch.service.limits.subscriptions
         assert len(places) > most
         await pilot.press("4")

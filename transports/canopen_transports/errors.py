@@ -18,9 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import Enum
-from typing import Final
+from typing import Final, Unpack
 
-from canopen_proto.explained import Explained
+from canopen_proto.explained import ErrorWords, Explained
 
 BAD_LOCATOR: Final = "CO100"
 """The locator is not valid; nothing was opened."""
@@ -65,10 +65,8 @@ DEAF: Final = (BusState.DOWN, BusState.BUS_OFF)
 
 
 class _OfBus(Explained):
-    def __init__(
-        self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
-    ) -> None:
-        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+    def __init__(self, code: str, locator: str, failed: str, **words: Unpack[ErrorWords]) -> None:
+        super().__init__(code, failed, **words)
         self.locator = locator
 
 

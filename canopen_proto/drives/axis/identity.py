@@ -22,8 +22,8 @@ from canopen_proto.drives.axis.failures import DriveError, as_drive_errors
 from canopen_proto.drives.axis.units import DriveUnits, read_units
 from canopen_proto.drives.cia402.objects import VENDOR_ID
 from canopen_proto.multiplexer import split_mux
-from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, SdoTransferError, upload
+from canopen_proto.procedures.objects import ABSENT, unless_refused
+from canopen_proto.procedures.steps import Procedure, upload
 
 
 @as_drive_errors
@@ -45,12 +45,7 @@ def identify(axis: Axis) -> Procedure[None]:
 
 
 def _vendor_id(axis: Axis) -> Procedure[int | None]:
-    try:
-        data = yield from upload(axis.node.sdo, *split_mux(VENDOR_ID))
-    except SdoTransferError as failed:
-        if failed.abort_code not in ABSENT:
-            raise
-        data = b""
+    data = yield from unless_refused(upload(axis.node.sdo, *split_mux(VENDOR_ID)), ABSENT)
     return int.from_bytes(data, "little") if data else None
 
 

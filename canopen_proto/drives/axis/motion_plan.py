@@ -39,7 +39,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import range_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.dictionary.download_order import Write
@@ -74,8 +73,8 @@ from canopen_proto.pdo.slots import (
     shown_entries,
     spare_tpdos,
 )
-from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, download
+from canopen_proto.procedures.objects import read_if_present, unless_refused
+from canopen_proto.procedures.steps import Procedure, ProcedureError, download
 from canopen_proto.remote_node import RemoteNode
 
 MODES: Final = (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION, Mode.PROFILE_POSITION)
@@ -264,11 +263,7 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     for step in (yield from _steps_to_destroy(node, plan)):
         yield from download(node.sdo, *step)
     for step in (yield from steps_to_destroy(node, plan.spare)):
-        try:
-            yield from download(node.sdo, *step)
-        except SdoTransferError as failed:
-            if failed.origin is not AbortOrigin.PEER:
-                raise  # else it goes on to send what nobody needs
+        yield from unless_refused(download(node.sdo, *step))  # refused, it goes on to send what nobody needs
     yield from read_commanded(node, plan.extras)
     yield from exchange_pdos(node, plan.pdos, sends_at_sync=not plan.is_slow)
 

@@ -39,7 +39,7 @@ from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.drives.cia402.states import Command, State, state_of
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text
-from canopen_proto.procedures.objects import ABSENT, read_if_present, read_int, write
+from canopen_proto.procedures.objects import ABSENT, read_if_present, read_int, unless_refused, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError, current_time
 
 Align: TypeAlias = Callable[[Axis], Procedure[float]]
@@ -184,13 +184,8 @@ def clear_offsets(axis: Axis, mode: Mode) -> Procedure[None]:
     """Set the offsets of a mode to 0, as far as the drive has them: one that was left over would be a jump."""
     node = axis.node
     for mux in OFFSETS_OF[mode]:
-        if mux not in node.dictionary:
-            continue
-        try:
-            yield from write(node, mux, 0)
-        except SdoTransferError as failed:
-            if failed.abort_code not in ABSENT:
-                raise
+        if mux in node.dictionary:
+            yield from unless_refused(write(node, mux, 0), ABSENT)
 
 
 def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:

@@ -29,11 +29,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
-from canopen_proto.procedures.steps import Procedure, SdoTransferError, upload
+from canopen_proto.procedures.objects import unless_refused
+from canopen_proto.procedures.steps import Procedure, upload
 
 _METRE, _RADIAN, _DEGREE, _TURN = 0x01, 0x10, 0x41, 0xB4
 _ANGLES: Final = {_RADIAN: ("radian", 2 * math.pi), _DEGREE: ("degree", 360.0), _TURN: ("turn", 1.0)}
@@ -133,13 +133,8 @@ def read_number(node: AxisNode, key: Mux, *, signed: bool = False) -> Procedure[
 
     signed: it may be below 0.
     """
-    try:
-        data = yield from upload(node.sdo, *split_mux(node.on_device(key)))
-    except SdoTransferError as failed:
-        if failed.origin is AbortOrigin.PEER:
-            return None
-        raise
-    return int.from_bytes(data, "little", signed=signed) if 0 < len(data) <= 4 else None
+    data = yield from unless_refused(upload(node.sdo, *split_mux(node.on_device(key))))
+    return int.from_bytes(data, "little", signed=signed) if data is not None and 0 < len(data) <= 4 else None
 
 
 def units_of(values: Mapping[Mux, int]) -> DriveUnits:

@@ -36,6 +36,7 @@ from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.guarding import MAX_LIFE_TIME_FACTOR, GuardingAnswered
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time, check_node_id
 from canopen_proto.multiplexer import index_of, mux
+from canopen_proto.procedures.objects import unless_refused
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, Wait, act, download, upload
 from canopen_proto.remote_node import RemoteNode
 
@@ -225,7 +226,7 @@ def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Proced
     """Write an object if it has another value, read it back, and keep the old value."""
     key, label = (index, subindex), _label(index, subindex)
     wanted = value.to_bytes(size, "little", signed=value < 0)
-    found = yield from _upload(hold, index, subindex)
+    found = yield from unless_refused(upload(hold.node.sdo, index, subindex))
     if found is None:
         raise _Gap(f"no {label}")
     if found == wanted:
@@ -243,7 +244,7 @@ def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Proced
         if is_first:
             del hold.before[key]
         raise _Gap(f"it refuses {_show(wanted)} in {label} (abort 0x{failed.abort_code:08X})") from None
-    shown = yield from _upload(hold, index, subindex)
+    shown = yield from unless_refused(upload(hold.node.sdo, index, subindex))
     if shown != wanted:
         raise _Gap(f"its {label} shows {_show(shown)} after {_show(wanted)} was written")
 
@@ -264,18 +265,9 @@ def _read(hold: Hold, index: int, subindex: int) -> Procedure[int]:
 
 
 def _read_if_present(hold: Hold, index: int, subindex: int) -> Procedure[int | None]:
-    data = yield from _upload(hold, index, subindex)
+    """Read a number; None if the drive does not have the object or does not show it."""
+    data = yield from unless_refused(upload(hold.node.sdo, index, subindex))
     return None if data is None else int.from_bytes(data, "little")
-
-
-def _upload(hold: Hold, index: int, subindex: int) -> Procedure[bytes | None]:
-    """Read an object; return its bytes, None if the drive does not have it or does not show it."""
-    try:
-        return (yield from upload(hold.node.sdo, index, subindex))
-    except SdoTransferError as failed:
-        if failed.origin is AbortOrigin.PEER:
-            return None
-        raise
 
 
 def _show(data: bytes | None) -> str:

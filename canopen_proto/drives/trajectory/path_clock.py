@@ -42,16 +42,7 @@ class PathClock:
     """
 
     __slots__ = (
-        "_change",
-        "_elapsed",
-        "_is_ending",
-        "_is_stopping",
-        "_margin",
-        "_origin",
-        "_override",
-        "_resumes",
-        "_time",
-        "path",
+        "_change", "_elapsed", "_is_ending", "_is_stopping", "_margin", "_origin", "_override", "_resumes", "_time", "path",
         "stop_time",
     )  # fmt: skip
 

@@ -34,7 +34,6 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from canopen_proto import indices
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.download_order import download_order, switches_of
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
@@ -45,7 +44,7 @@ from canopen_proto.manager.parameters.backup import Backup, Reading, ReadResult,
 from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.parameter_storage import ON_COMMAND, SIGNATURES, STORE
-from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.objects import ABSENT, unless_refused
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
@@ -416,13 +415,8 @@ def _is_of(node: RemoteNode, state: NmtState | None = None) -> _Match:
 
 def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
     """Return after how many ns a heartbeat counts as missing; 0 if the node sends none."""
-    try:
-        data = yield from upload_again(node, indices.PRODUCER_HEARTBEAT_TIME, 0, False)
-        period = int.from_bytes(data, "little") * MILLISECOND
-    except SdoTransferError as failed:
-        if failed.origin is not AbortOrigin.PEER:
-            raise
-        return 0
+    data = yield from unless_refused(upload_again(node, indices.PRODUCER_HEARTBEAT_TIME, 0, False))
+    period = int.from_bytes(data or b"", "little") * MILLISECOND
     return min(period + period // 2 + HEARTBEAT_MARGIN, MAX_HEARTBEAT_WAIT) if period else 0
 
 

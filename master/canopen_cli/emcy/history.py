@@ -11,12 +11,10 @@ from canopen_cli.shared.options import NodeId, Settings, command, commanding
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, node_text
 from canopen_cli.shared.session import open_session
-from canopen_master.errors import SdoRefusedError
-from canopen_master.node import Node
+from canopen_master.node import Node, number_if_present
 from canopen_proto import indices
 from canopen_proto.emcy import MAX_HISTORY
 from canopen_proto.error_codes import error_text, register_names
-from canopen_proto.procedures.objects import ABSENT
 
 COLUMNS = ("", "code", "meaning", "maker's")
 
@@ -93,12 +91,8 @@ async def _clear(settings: Settings, screen: Screen, node_id: int) -> int:
 
 async def _count(node: Node) -> int | None:
     """Return how many errors a node remembers; None if it has no such object."""
-    try:
-        return min(await _number(node, indices.PREDEFINED_ERROR_FIELD, 0), MAX_HISTORY)
-    except SdoRefusedError as refused:
-        if refused.abort_code not in ABSENT:
-            raise
-        return None
+    count = await number_if_present(node, indices.PREDEFINED_ERROR_FIELD)
+    return None if count is None else min(count, MAX_HISTORY)
 
 
 async def _number(node: Node, index: int, subindex: int) -> int:

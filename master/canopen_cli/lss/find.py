@@ -45,8 +45,7 @@ def scan(settings: Settings, screen: Screen, known: Known, window: Time, limit: 
     async def find() -> Survey:
         async with open_lss(settings, screen, window, limit) as lss, progress(lss, screen, known):
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
-            result: Survey = await lss.run(survey(lss.tool, lss.pace, known))
-            return result
+            return await lss.run(survey(lss.tool, lss.pace, known))
 
     result = run(settings, screen, find)
     _show(settings, screen, result.found)
@@ -90,8 +89,7 @@ def identify(
 
     async def find() -> list[LssAddress]:
         async with open_lss(settings, screen, window) as lss, progress(lss, screen, (vendor, product, None, None)):
-            found: list[LssAddress] = await lss.run(search(lss.tool, lss.pace, vendor, product, revision, serial))
-            return found
+            return await lss.run(search(lss.tool, lss.pace, vendor, product, revision, serial))
 
     found = run(settings, screen, find)
     if not found:

@@ -28,9 +28,9 @@ from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.lss.assign import found_device
 from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all, take_back
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
-from canopen_proto.lss.scan import Survey, survey
+from canopen_proto.lss.scan import survey
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.manager.scan import LISTEN, NodeFound, duration_of, scan
+from canopen_proto.manager.scan import LISTEN, duration_of, scan
 from canopen_transports import TransportError
 from canopen_transports.locator import bitrate_text, parse_bitrate, parse_locator
 
@@ -168,15 +168,15 @@ async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
     """Return the addresses of all devices on the bus. Raises a CommandError if one cannot be reached by LSS."""
     screen.say("[dim]looking for all devices: nodes, and devices without a node-ID[/]")
     async with time_left(screen, "asking all node-IDs", duration_of(len(ALL_NODE_IDS), listen=LISTEN) / SECOND):
-        found: list[NodeFound] = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
+        found = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
     async with progress(lss, screen, (None, None, None, None)):
-        surveyed: Survey = await lss.run(survey(lss.tool, lss.pace))
+        surveyed = await lss.run(survey(lss.tool, lss.pace))
     by_node = {node.node_id: LssAddress(*(number or 0 for number in node.identity)) for node in found}
     nodes = list(by_node.values())
     for each in set(nodes).intersection(surveyed.found):  # Lely's take part in a fastscan with a node-ID, too: is it one device?
         await lss.run(found_device(lss.tool, lss.pace, each))
     addresses = [*nodes, *(each for each in surveyed.found if each not in nodes)]
-    absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+    absent = await lss.run(missing(lss.tool, lss.pace, addresses))
     if absent or not addresses or len(set(addresses)) < len(addresses) or surveyed.again is not None:
         names = [f"node {node_id} ({address_text(each)})" for node_id, each in by_node.items() if each in absent]
         if names:
@@ -233,7 +233,7 @@ async def _switch(settings: Settings, screen: Screen, change: RateChange, addres
     switched."""
     settings.bus = change.locators[0]
     async with open_lss(settings, screen, window) as lss:
-        refused: list[Refusal] = await lss.run(prepare(lss.tool, lss.pace, addresses, change.new, change.old))
+        refused = await lss.run(prepare(lss.tool, lss.pace, addresses, change.new, change.old))
         if refused:
             seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in refused)
             raise CommandError(
@@ -275,13 +275,12 @@ async def _check(
     """Look for all devices at the new bit rate, and let them store it; return those that did not. If one is missing, bring the
     others back, and raise a CommandError."""
     async with open_lss(settings, screen, window) as lss:
-        absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+        absent = await lss.run(missing(lss.tool, lss.pace, addresses))
         if not absent:
             if not change.store:
                 return []
             change.story = f"the devices are at {change.new} kbit/s; perhaps not all have stored it: canopen lss store, for each"
-            failed: list[Refusal] = await lss.run(store_all(lss.tool, lss.pace, addresses))
-            return failed
+            return await lss.run(store_all(lss.tool, lss.pace, addresses))
     screen.say(f"[yellow]{counted(len(absent), 'device')} missing at {change.new} kbit/s: back to {change.old}[/]")
     back = [each for each in addresses if each not in absent]
     change.story = f"some devices are at {change.new} kbit/s, others at {change.old}; {change.way_back}"
@@ -295,7 +294,7 @@ async def _check(
         await _run_command(change.back)
     settings.bus = change.locators[0]
     async with open_lss(settings, screen, window) as lss:
-        lost: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+        lost = await lss.run(missing(lss.tool, lss.pace, addresses))
         await lss.run(take_back(lss.tool, lss.pace, change.old))  # those that missed the switch have the new one pending
     seen = f"at {change.new} kbit/s nothing from {', '.join(map(address_text, absent))}; "
     seen += f"back at {change.old} kbit/s, {'all are there' if not lost else 'missing: ' + ', '.join(map(address_text, lost))}"

@@ -39,7 +39,6 @@ from canopen_proto.lss.assign import (
     NOBODY_AGREED,
     Given,
     LssAssignment,
-    Planned,
     by_table,
     give,
     in_order,
@@ -95,8 +94,7 @@ def set_id(settings: Settings, screen: Screen, device: LssTarget, node_id: int, 
                 )  # fmt: skip
             screen.say(f"{escape(address_text(address))}: node-ID {node_id_text(present)}")
             begun.append(address)
-            given: Given = await lss.run(give(lss.tool, lss.pace, address, node_id, present=present, store=not no_store))
-            return given
+            return await lss.run(give(lss.tool, lss.pace, address, node_id, present=present, store=not no_store))
 
     _show(settings, screen, [run_or_show(settings, screen, change, story=story)])
 
@@ -221,7 +219,7 @@ async def _assign(lss: Lss, screen: Screen, questions: Questions, assignment: Ls
     begun = trio.current_time()
     while True:
         async with progress(lss, screen, assignment.known):
-            plan: list[Planned] = await lss.run(assignment.next_plan())
+            plan = await lss.run(assignment.next_plan())
         if not plan:
             return
         for planned in plan:

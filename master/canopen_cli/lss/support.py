@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 import trio
@@ -34,6 +34,8 @@ from canopen_proto.lss.scan import (
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure
 
+T = TypeVar("T")
+
 ONLY: Final = "only"
 MAX_TEXT: Final = 0xFFFF_FFFF
 
@@ -46,7 +48,7 @@ class Lss:
     tool: LssTool
     pace: Pace
 
-    async def run(self, procedure: Procedure[Any]) -> Any:
+    async def run(self, procedure: Procedure[T]) -> T:
         """Run a procedure; LssError and LssNotSelectedError become a CommandError."""
         try:
             return await self.session.master.run(procedure)
@@ -180,8 +182,7 @@ async def device_of(lss: Lss, target: LssTarget) -> tuple[LssAddress, int]:
         node = lss.session.node(target.node_id)
         numbers = [int.from_bytes(await node.read_bytes(indices.IDENTITY_OBJECT, each), "little") for each in (1, 2, 3, 4)]
         target = LssTarget(LssAddress(*numbers))
-    found: tuple[LssAddress, int] = await lss.run(found_device(lss.tool, lss.pace, target.address))
-    return found
+    return await lss.run(found_device(lss.tool, lss.pace, target.address))
 
 
 def estimate(pace: Pace, known: Known) -> str:

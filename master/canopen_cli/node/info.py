@@ -25,8 +25,7 @@ from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.configure import InvalidPdoError, read_pdo
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import SdoTransferError
+from canopen_proto.procedures.objects import ABSENT, unless_refused
 
 MAX_HISTORY = 8
 MAX_PDOS_SHOWN = 8
@@ -95,14 +94,12 @@ async def _add_pdos(session: BusSession, node: Node, facts: Facts) -> None:
     for direction in Direction:
         for number in range(1, MAX_PDOS_SHOWN + 1):
             try:
-                settings = await session.master.run(read_pdo(node.remote, direction, number))
-            except SdoTransferError as failed:
-                if failed.abort_code in ABSENT:
-                    break
-                raise
+                settings = await session.master.run(unless_refused(read_pdo(node.remote, direction, number), ABSENT))
             except InvalidPdoError as strange:
                 facts[f"{direction}{number}"] = (None, str(strange))
                 continue
+            if settings is None:
+                break
             if not settings.cob_id & COB_ID_INVALID:
                 facts[f"{direction}{number}"] = _pdo(settings, session.description_of(node.node_id))
 

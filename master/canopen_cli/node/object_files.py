@@ -28,6 +28,7 @@ PATIENCE: Final = 1.0
 """Seconds before progress is shown: most transfers take less."""
 REDRAW: Final = 0.1
 """Seconds between two updates of the progress."""
+ROUNDS: Final = "the device rounds or limits the value, or it is a command that takes effect and vanishes"
 
 
 @dataclass
@@ -100,14 +101,19 @@ async def _compare(screen: Screen, node: Node, variable: Variable, path: str, bl
                 is_equal = is_equal and file.read(len(piece)) == piece
             if is_equal and not file.read(1):
                 return
-    raise CommandError(
-        ExitCode.VERIFY_MISMATCH,
-        "CO205",
-        f"node {node.node_id} took {path} for {variable.label}, but shows something else: {counted(stream.size, 'byte')}",
-        cause="the device converts what it gets, or the object reads as something else than what was written",
-        node=node.node_id,
-        index=variable.index,
-        subindex=variable.subindex,
+    shown = f"something else: {counted(stream.size, 'byte')}"
+    cause = "the device converts what it gets, or the object reads as something else than what was written"
+    raise not_as_written(node.node_id, variable, path, shown, cause=cause)
+
+
+def not_as_written(
+    node_id: int, variable: Variable, what: str, shown: str, *, seen: str = "", cause: str = ROUNDS
+) -> CommandError:
+    """Return the error of a node that took a value, and shows another. what: it took, for people."""
+    failed = f"node {node_id} took {what} for {variable.label}, but shows {shown}"
+    index, subindex = variable.index, variable.subindex
+    return CommandError(
+        ExitCode.VERIFY_MISMATCH, "CO205", failed, seen=seen, cause=cause, node=node_id, index=index, subindex=subindex
     )
 
 

@@ -9,13 +9,13 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 
 import click
 
-from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
+from canopen_cli.node.object_files import FileTransfer, not_as_written, read_into_file, write_from_file
 from canopen_cli.shared.dry_run import run_or_show
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.numbers import NumberCommand
 from canopen_cli.shared.options import NodeOfObject, Settings, command, commanding, enabling, together, with_named_object
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
-from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
@@ -359,13 +359,5 @@ async def _write(
         if request.verify and variable.access.readable:
             shown = await way.read(variable)
             if shown.value != value:
-                raise CommandError(
-                    ExitCode.VERIFY_MISMATCH,
-                    "CO205",
-                    f"node {node_id} took {_shown(after)} for {variable.label}, but shows {_shown(shown)}",
-                    cause="the device rounds or limits the value, or it is a command that takes effect and vanishes",
-                    node=node_id,
-                    index=variable.index,
-                    subindex=variable.subindex,
-                )
+                raise not_as_written(node_id, variable, _shown(after), _shown(shown))
         return before, after

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canopen_cli.node.backup_reading import both_notations
+from canopen_cli.node.object_files import not_as_written
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.frames_shown import frames_of
 from canopen_cli.shared.problem import CommandError, ExitCode
@@ -136,16 +137,8 @@ def told(error: Exception, so_far: Sequence[Restoration], path: str) -> CommandE
     if isinstance(reason, VerifyMismatchError):
         write = reason.write
         value = both_notations(write.variable, write.value)
-        problem = CommandError(
-            ExitCode.VERIFY_MISMATCH,
-            "CO205",
-            f"node {node_id} took {value} for {write.variable.label}, but shows something else",
-            seen=f"bytes {reason.shown.hex(' ') or 'none'}, written were {write.data.hex(' ')}",
-            cause="the device rounds or limits the value, or it is a command that takes effect and vanishes",
-            node=node_id,
-            index=write.variable.index,
-            subindex=write.variable.subindex,
-        )
+        seen = f"bytes {reason.shown.hex(' ') or 'none'}, written were {write.data.hex(' ')}"
+        problem = not_as_written(node_id, write.variable, value, "something else", seen=seen)
     else:
         problem = problem_of(reason)
     problem.also += story(so_far)

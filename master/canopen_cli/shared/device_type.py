@@ -9,10 +9,9 @@ from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import node_text
 from canopen_cli.shared.session import BusSession
 from canopen_proto import indices
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.manager.parameters.backup import upload_again
-from canopen_proto.procedures.steps import SdoTransferError
+from canopen_proto.procedures.objects import unless_refused
 
 _TYPE: Final = ((1, "vendor-ID"), (2, "product code"))
 """Subindices of 0x1018 that show it."""
@@ -27,13 +26,8 @@ async def check_type(session: BusSession, node_id: int, dictionary: ObjectDictio
         expected = 0 if variable is None else variable.initial_of(node_id)
         if not isinstance(expected, int) or not expected:
             continue
-        try:
-            data = await session.master.run(upload_again(node.remote, indices.IDENTITY_OBJECT, subindex, False))
-        except SdoTransferError as failed:
-            if failed.origin is not AbortOrigin.PEER:
-                raise
-            continue
-        found = int.from_bytes(data, "little")
+        data = await session.master.run(unless_refused(upload_again(node.remote, indices.IDENTITY_OBJECT, subindex, False)))
+        found = int.from_bytes(data or b"", "little")
         if found and found != expected:
             raise CommandError(
                 ExitCode.DIFFERENT,

@@ -119,7 +119,7 @@ class LazyGroup(NamingGroup):
     def below(self, ctx: click.Context, word: str) -> list[str]:
         found = []
         for name, (module, _) in self.table.items():
-            group = self.get_command(ctx, name) if module.endswith((".group", ".log")) else None
+            group = self.get_command(ctx, name) if module == "groups" or module.endswith((".group", ".log")) else None
             if isinstance(group, click.Group) and word in group.list_commands(ctx):
                 found.append(f"{name} {word}")
         return found

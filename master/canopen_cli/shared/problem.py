@@ -9,12 +9,11 @@ from __future__ import annotations
 import errno
 import re
 import shlex
-from collections.abc import Iterable
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from canopen_proto.explained import Explained
+from canopen_proto.explained import ErrorWords, Explained
 
 
 class ExitCode(IntEnum):
@@ -56,16 +55,13 @@ class CommandError(Explained, Exception):
         code: str,
         failed: str,
         *,
-        seen: str = "",
-        cause: str = "",
-        tries: Iterable[str] = (),
         node: int | None = None,
         index: int | None = None,
         subindex: int | None = None,
         abort: int | None = None,
-        also: Iterable[str] = (),
+        **words: Unpack[ErrorWords],
     ) -> None:
-        super().__init__(code, failed, seen=seen, cause=cause, also=also, tries=tries)
+        super().__init__(code, failed, **words)
         self.exit_code = exit_code
         self.node = node
         self.index = index

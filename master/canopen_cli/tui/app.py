@@ -20,7 +20,7 @@ from textual.widgets import ContentSwitcher, DataTable, Input, Static
 from canopen_cli.shared.screen import counted, node_text
 from canopen_cli.tui.machine_watch import REFRESH, MachineWatch, refusal_text
 from canopen_cli.tui.questions import YES, Ask, KeysPage
-from canopen_cli.tui.shown import MachineShown, NodePlace, ObjectPlace
+from canopen_cli.tui.shown import MachineShown, NodePlace
 from canopen_cli.tui.views import (
     VIEWS,
     DrivesView,
@@ -33,7 +33,7 @@ from canopen_cli.tui.views import (
     known,
     object_name,
 )
-from canopen_gateway import NotAllowedError, Permission, permission_to_write
+from canopen_gateway import NotAllowedError, Permission, WatchedObject, permission_to_write
 from canopen_gateway.nmt_words import NMT_COMMANDS
 from canopen_gateway.plain_data import place_text
 from canopen_master.plain_text import clean
@@ -344,7 +344,7 @@ class MachineView(App[None]):
         before = view.value or "not read yet"
         self.push_screen(Ask(question, f"{variable.data_type.name}; it is {before}"), partial(self._confirm_write, place, before))
 
-    def _confirm_write(self, place: ObjectPlace, before: str, value: str | None) -> None:
+    def _confirm_write(self, place: WatchedObject, before: str, value: str | None) -> None:
         if not value:
             return
         moves = permission_to_write(place.index, place.subindex) is Permission.MOTION
@@ -401,8 +401,8 @@ class MachineView(App[None]):
             dictionary = self._watch.service.node(*node).dictionary
             self.query_one(ObjectsView).choose(node, dictionary)
 
-    def _read(self, place: ObjectPlace) -> None:
-        dictionary = self._watch.service.node(*place.node).dictionary
+    def _read(self, place: WatchedObject) -> None:
+        dictionary = self._watch.service.node(place.net, place.node_id).dictionary
         variable = dictionary.get(place.index, place.subindex)
         name = "" if variable is None else clean(object_name(dictionary, variable))
         self.tell(f"reading {place_text(place.index, place.subindex)} {name} ...")

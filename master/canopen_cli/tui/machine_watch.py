@@ -23,7 +23,7 @@ from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import counted, node_text
 from canopen_cli.shared.values import parse_value, physical, physical_text, value_text
-from canopen_cli.tui.shown import DriveShown, MachineShown, NodePlace, ObjectPlace, ReadObject, ValueShown
+from canopen_cli.tui.shown import DriveShown, MachineShown, NodePlace, ReadObject, ValueShown
 from canopen_gateway import GatewayError, GatewayService, GatewaySession, ValueSeen, WatchedObject
 from canopen_gateway.errors import first_line
 from canopen_gateway.nmt_words import nmt_command
@@ -86,8 +86,8 @@ class MachineWatch:
         self._lines: deque[FeedRow] = deque(maxlen=MOST_LINES)
         self._older: deque[FeedRow] = deque(maxlen=MOST_LINES)  # findings that are older than these lines
         self._events: deque[Plain] = deque(maxlen=MOST_EVENTS)
-        self._objects: dict[ObjectPlace, ReadObject] = {}
-        self._values: dict[ObjectPlace, _LiveValue] = {}
+        self._objects: dict[WatchedObject, ReadObject] = {}
+        self._values: dict[WatchedObject, _LiveValue] = {}
         self._watching = trio.CancelScope()
         self._turn = trio.Lock()
         self._drives: dict[tuple[NodePlace, int], DriveShown] = {}
@@ -231,11 +231,11 @@ class MachineWatch:
         """Ask all node-IDs of all nets that were not heard yet."""
         self._start(self._find)
 
-    def ask_read(self, place: ObjectPlace) -> None:
+    def ask_read(self, place: WatchedObject) -> None:
         """Read an object, and tell its value."""
         self._start(partial(self._read_and_tell, place))
 
-    def ask_write(self, place: ObjectPlace, text: str) -> None:
+    def ask_write(self, place: WatchedObject, text: str) -> None:
         """Write an object, and read it back. text: as `bytes_of` takes it."""
         self._start(partial(self._write, place, text))
 
@@ -247,7 +247,7 @@ class MachineWatch:
         """Stop what moves: a node, or everything."""
         self._start(partial(self._halt, place))
 
-    def ask_watch(self, place: ObjectPlace, name: str) -> None:
+    def ask_watch(self, place: WatchedObject, name: str) -> None:
         """Watch an object; or end that, if it is watched."""
         self._ask(lambda: self._watch(place, name))
 
@@ -284,25 +284,25 @@ class MachineWatch:
             with suppress(*REFUSED):  # a node without a name, or a silent one, is no error
                 self._names[place] = await self._session.read_name(*place)
 
-    async def _read(self, place: ObjectPlace) -> None:
+    async def _read(self, place: WatchedObject) -> None:
         dictionary = self.service.node(place.net, place.node_id).dictionary
         try:
-            data = await self._session.read(*place.parts)
+            data = await self._session.read(place.net, place.node_id, place.index, place.subindex)
         except REFUSED as error:
             self._objects[place] = ReadObject("", clean(first_line(error)))
             raise
         value = decoded(dictionary, place.index, place.subindex, data)
         self._objects[place] = ReadObject(shown_value(dictionary, place, value))
 
-    async def _read_and_tell(self, place: ObjectPlace) -> None:
+    async def _read_and_tell(self, place: WatchedObject) -> None:
         await self._read(place)
         self.notices.append((f"{place_text(place.index, place.subindex)} is {self._objects[place].text}", False))
 
-    async def _write(self, place: ObjectPlace, text: str) -> None:
+    async def _write(self, place: WatchedObject, text: str) -> None:
         node = self.service.node(place.net, place.node_id)
         variable = node.dictionary.at(place.index, place.subindex)
         _, _, data = node.remote.encode(variable, parse_value(node.dictionary, variable, text))
-        await self._session.write(*place.parts, data)
+        await self._session.write(place.net, place.node_id, place.index, place.subindex, data)
         told = f"{node_text(place.node_id)}: {place_text(place.index, place.subindex)} was written"
         try:
             await self._read(place)
@@ -324,7 +324,7 @@ class MachineWatch:
             self.notices.append((f"halted: {what}", False))
         self._look.set()
 
-    def _watch(self, place: ObjectPlace, name: str) -> None:
+    def _watch(self, place: WatchedObject, name: str) -> None:
         if self._values.pop(place, None) is None:
             self._values[place] = _LiveValue(place, name)
         self._follow_anew()
@@ -339,11 +339,10 @@ class MachineWatch:
     async def _follow_values(self, scope: trio.CancelScope) -> None:
         with scope:
             async with self._turn:  # what was followed before has to end first: it still counts as watched
-                objects = [WatchedObject(*place.parts) for place in self._values]
                 try:
-                    async with self._session.watch_values(objects, VALUES_EACH) as values:
+                    async with self._session.watch_values(list(self._values), VALUES_EACH) as values:
                         async for seen in values:
-                            watched = self._values.get(_place_of(seen.place))
+                            watched = self._values.get(seen.place)
                             if watched is not None:
                                 watched.take(seen, self.service.node(seen.place.net, seen.place.node_id).dictionary)
                 except REFUSED as error:
@@ -355,7 +354,7 @@ class MachineWatch:
 class _LiveValue:
     """A watched object, while it is watched."""
 
-    def __init__(self, place: ObjectPlace, name: str) -> None:
+    def __init__(self, place: WatchedObject, name: str) -> None:
         self._place, self._name = place, name
         self._text = self._problem = ""
         self._least: float | None = None
@@ -392,7 +391,7 @@ def refusal_text(error: Exception) -> str:
     return clean("; ".join([f"{code}{data['text']}", *details]))
 
 
-def shown_value(dictionary: ObjectDictionary, place: ObjectPlace, value: Value) -> str:
+def shown_value(dictionary: ObjectDictionary, place: WatchedObject, value: Value) -> str:
     """Return a value as it is shown: with its unit, if it has one, and with the names that it has."""
     variable = dictionary.get(place.index, place.subindex)
     if variable is None:
@@ -400,7 +399,3 @@ def shown_value(dictionary: ObjectDictionary, place: ObjectPlace, value: Value) 
     text = physical_text(variable, value) or value_text(variable, value)
     names = ", ".join(dictionary.names_of(variable, value))
     return clean(f"{text} ({names})" if names else text)
-
-
-def _place_of(watched: WatchedObject) -> ObjectPlace:
-    return ObjectPlace(watched.net, watched.node_id, watched.index, watched.subindex)

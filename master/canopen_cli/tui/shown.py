@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from canopen_gateway import WatchedObject
 from canopen_gateway.plain_data import Plain
 from canopen_gateway.traffic import FeedRow
 
@@ -15,26 +16,6 @@ class NodePlace(NamedTuple):
 
     net: str
     node_id: int
-
-
-@dataclass(frozen=True)
-class ObjectPlace:
-    """An object of a node."""
-
-    net: str
-    node_id: int
-    index: int
-    subindex: int
-
-    @property
-    def node(self) -> NodePlace:
-        """Its node."""
-        return NodePlace(self.net, self.node_id)
-
-    @property
-    def parts(self) -> tuple[str, int, int, int]:
-        """Net, node-ID, index and subindex."""
-        return self.net, self.node_id, self.index, self.subindex
 
 
 class ReadObject(NamedTuple):
@@ -49,7 +30,7 @@ class ValueShown:
     """A watched object. least, most: of the numbers so far. age: seconds since the value came; None: never. curve: its last
     numbers, oldest first."""
 
-    place: ObjectPlace
+    place: WatchedObject
     name: str
     text: str = ""
     problem: str = ""
@@ -86,5 +67,5 @@ class MachineShown:
     rate: float = 0.0
     load: float | None = None
     values: tuple[ValueShown, ...] = ()
-    objects: Mapping[ObjectPlace, ReadObject] = field(default_factory=dict)
+    objects: Mapping[WatchedObject, ReadObject] = field(default_factory=dict)
     drives: tuple[DriveShown, ...] = ()

@@ -15,7 +15,8 @@ from textual.widgets import Input, Static
 from canopen_cli.live.braille import curve
 from canopen_cli.shared.screen import counted, node_text
 from canopen_cli.tui.rows import Rows, RowsColumn, cell
-from canopen_cli.tui.shown import DriveShown, MachineShown, NodePlace, ObjectPlace, ReadObject
+from canopen_cli.tui.shown import DriveShown, MachineShown, NodePlace, ReadObject
+from canopen_gateway import WatchedObject
 from canopen_gateway.plain_data import NOT_HEARD, Plain, place_text
 from canopen_gateway.traffic import FeedRow
 from canopen_master.plain_text import clean
@@ -139,19 +140,19 @@ class ObjectsView(Pane):
             self._node.update(Text("Choose a node in view 1.", style="dim"))
             return
         wanted = self._line.value.strip().lower()
-        values = {place: read for place, read in machine.objects.items() if place.node == self.node}
+        values = {place: read for place, read in machine.objects.items() if (place.net, place.node_id) == self.node}
         made = (self.node, id(self._dictionary), wanted, tuple(values.items()))
         if made != self._made:
             self._made = made
             self._fill(self._dictionary, wanted, values)
         self._tell_detail()
 
-    def _fill(self, dictionary: ObjectDictionary, wanted: str, values: dict[ObjectPlace, ReadObject]) -> None:
+    def _fill(self, dictionary: ObjectDictionary, wanted: str, values: dict[WatchedObject, ReadObject]) -> None:
         assert self.node is not None
         found = [each for each in dictionary if wanted in f"{place_text(each.index, each.subindex)} {each.label}".lower()]
         rows = []
         for each in found:
-            read = values.get(ObjectPlace(*self.node, each.index, each.subindex))
+            read = values.get(WatchedObject(*self.node, each.index, each.subindex))
             value = cell(
                 "" if read is None else read.problem or read.text, "red" if read is not None and read.problem else "bold"
             )
@@ -197,10 +198,10 @@ class ObjectsView(Pane):
         self._tell_detail()
 
     @property
-    def place(self) -> ObjectPlace | None:
+    def place(self) -> WatchedObject | None:
         """The object at the cursor."""
         chosen = self._rows.chosen
-        return None if chosen is None or self.node is None else ObjectPlace(*self.node, *chosen)
+        return None if chosen is None or self.node is None else WatchedObject(*self.node, *chosen)
 
     @property
     def variable(self) -> Variable | None:
@@ -309,9 +310,9 @@ class ValuesView(Pane):
         self._note.update(Text(note, style="dim"))
 
     @property
-    def chosen(self) -> ObjectPlace | None:
+    def chosen(self) -> WatchedObject | None:
         """The object at the cursor."""
-        place: ObjectPlace | None = self._rows.chosen
+        place: WatchedObject | None = self._rows.chosen
         return place
 
 

@@ -16,7 +16,7 @@ from typing import Final, TypeVar
 import trio
 
 from canopen_gateway.errors import GatewayError, GatewayFullError, LeaseError, NotAllowedError, PdoTakenError
-from canopen_gateway.layer_settings import INQUIRIES, LayerSettings, window_of
+from canopen_gateway.layer_settings import LayerSettings, window_of
 from canopen_gateway.nmt_words import NMT_OF
 from canopen_gateway.service import GatewaySession, HeardOnNet
 from canopen_master import MasterError, SdoError, SdoGivenUpError, SdoNotConfirmedError
@@ -45,7 +45,7 @@ from canopen_proto.gateway.request import EVENT, RTR, About
 from canopen_proto.gateway.value_types import HEX, fits
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.lss import LssAddress, LssError, LssReply, LssService, LssState
-from canopen_proto.lss.messages import BIT_RATES
+from canopen_proto.lss.messages import BIT_RATES, INQUIRE
 from canopen_proto.lss.scan import Known
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.sdo.client import Block
@@ -368,9 +368,9 @@ class AsciiConnection:
 
     async def lss_inquire_address(self, request: GatewayRequest) -> str:
         settings = self._lss(request, selected=True)
-        if request.numbers and request.numbers[0] not in (0, 1, 2, 3, *map(int, INQUIRIES)):
-            raise _out_of_range(request.numbers[0], f"0 to 3, 0x{min(INQUIRIES):X} to 0x{max(INQUIRIES):X}")
-        wanted = [INQUIRIES[each] if each < len(INQUIRIES) else LssService(each) for each in request.numbers] or INQUIRIES
+        if request.numbers and request.numbers[0] not in (0, 1, 2, 3, *map(int, INQUIRE)):
+            raise _out_of_range(request.numbers[0], f"0 to 3, 0x{min(INQUIRE):X} to 0x{max(INQUIRE):X}")
+        wanted = [INQUIRE[each] if each < len(INQUIRE) else LssService(each) for each in request.numbers] or INQUIRE
         return self._numbers([_answered(await settings.inquire(service)) for service in wanted])
 
     async def lss_get_node(self, request: GatewayRequest) -> str:

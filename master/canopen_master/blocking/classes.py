@@ -205,8 +205,7 @@ class BlockingNode(NodeTwin):
 
         The pieces are valid only once the loop has ended without an exception: the checksum comes last.
         """
-        found = self._hub.do(self._inner.read_stream, index, subindex, block=block)
-        return BlockingReadStream(self._hub, found)
+        return BlockingReadStream(self._hub, self._hub.do(self._inner.read_stream, index, subindex, block=block))
 
     def write_stream(
         self,
@@ -354,8 +353,7 @@ class BlockingNode(NodeTwin):
 
     def events(self, *kinds: type[E]) -> BlockingSubscription[E]:
         """Return the events of this node only; see `Master.events`."""
-        found = self._hub.do(self._inner.events, *kinds)
-        return BlockingSubscription(self._hub, found)
+        return BlockingSubscription(self._hub, self._hub.do(self._inner.events, *kinds))
 
 
 class BlockingDevice(Twin[Device]):
@@ -374,8 +372,7 @@ class BlockingDevice(Twin[Device]):
     @property
     def node(self) -> BlockingNode:
         """As of the async Device; see the text of this class."""
-        found = self._inner.node
-        return self._hub.twin(BlockingNode, found)
+        return self._hub.twin(BlockingNode, self._inner.node)
 
     axis: Final[Axis] = attribute("axis", "Device")
 
@@ -503,8 +500,7 @@ class BlockingDevice(Twin[Device]):
 
     def events(self, *kinds: type[E]) -> BlockingSubscription[E]:
         """As `Master.events`, of this joint only."""
-        found = self._hub.do(self._inner.events, *kinds)
-        return BlockingSubscription(self._hub, found)
+        return BlockingSubscription(self._hub, self._hub.do(self._inner.events, *kinds))
 
 
 class BlockingSubscription(Twin[Subscription[E]], Generic[E]):
@@ -758,8 +754,7 @@ class BlockingMoving(Twin[Moving]):
 
         A late loop gets the newest cycle. It goes on if another motion takes over.
         """
-        found = self._hub.do(self._inner.progress)
-        return BlockingProgresses(self._hub, found)
+        return BlockingProgresses(self._hub, self._hub.do(self._inner.progress))
 
 
 class BlockingChain(BlockingMoving):
@@ -775,8 +770,7 @@ class BlockingChain(BlockingMoving):
     @property
     def devices(self) -> tuple[BlockingDevice, ...]:
         """As of the async Chain; see the text of this class."""
-        found = self._inner.devices
-        return tuple(self._hub.twin(BlockingDevice, each) for each in found)
+        return tuple(self._hub.twin(BlockingDevice, each) for each in self._inner.devices)
 
     settings: Final[ChainSettings] = attribute("settings", "Chain")
 
@@ -915,8 +909,7 @@ class BlockingChain(BlockingMoving):
 
         Raises ChainFaultError if a joint fails, ChainHaltedError if the chain is halted; both once the other joints stand.
         """
-        found = self._hub.do(self._inner.cycles)
-        return BlockingCycles(self._hub, found)
+        return BlockingCycles(self._hub, self._hub.do(self._inner.cycles))
 
     def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
         """Give the next set-points, one per joint, in the user's unit; they are sent behind the next SYNC.
@@ -948,8 +941,7 @@ class BlockingChain(BlockingMoving):
         """Begin to record, until `Recorder.close`; `Recorder.wait` then waits for the file. Else as `record`. path: of the file;
         .csv or .parquet.
         """
-        found = self._hub.do(self._inner.recorder, path)
-        return BlockingRecorder(self._hub, found)
+        return BlockingRecorder(self._hub, self._hub.do(self._inner.recorder, path))
 
 
 class BlockingTogether(BlockingMoving):
@@ -969,29 +961,25 @@ class BlockingMaster(MasterTwin):
     @property
     def devices(self) -> dict[tuple[BlockingNode, int], BlockingDevice]:
         """As of the async Master; see the text of this class."""
-        found = self._inner.devices
         return {
             (self._hub.twin(BlockingNode, node), axis): self._hub.twin(BlockingDevice, each)
-            for (node, axis), each in dict(found).items()
+            for (node, axis), each in dict(self._inner.devices).items()
         }
 
     @property
     def chains(self) -> dict[str, BlockingChain]:
         """As of the async Master; see the text of this class."""
-        found = self._inner.chains
-        return {name: self._hub.twin(BlockingChain, each) for name, each in dict(found).items()}
+        return {name: self._hub.twin(BlockingChain, each) for name, each in dict(self._inner.chains).items()}
 
     @property
     def nodes(self) -> dict[str, BlockingNode]:
         """As of the async Master; see the text of this class."""
-        found = self._inner.nodes
-        return {name: self._hub.twin(BlockingNode, each) for name, each in dict(found).items()}
+        return {name: self._hub.twin(BlockingNode, each) for name, each in dict(self._inner.nodes).items()}
 
     @property
     def joints(self) -> dict[str, BlockingDevice]:
         """As of the async Master; see the text of this class."""
-        found = self._inner.joints
-        return {name: self._hub.twin(BlockingDevice, each) for name, each in dict(found).items()}
+        return {name: self._hub.twin(BlockingDevice, each) for name, each in dict(self._inner.joints).items()}
 
     machine: Final[MachineFile | None] = attribute("machine", "Master")
 
@@ -1026,8 +1014,7 @@ class BlockingMaster(MasterTwin):
         Raises LocalProtocolError for an ID outside 1..127, for no bus name if there are several buses, and for another dictionary
         than the first time; DataError, DictionaryError for a file that cannot be read.
         """
-        found = self._hub.do(self._inner.node, node_id, dictionary, bus=bus, pdos=pdos)
-        return self._hub.twin(BlockingNode, found)
+        return self._hub.twin(BlockingNode, self._hub.do(self._inner.node, node_id, dictionary, bus=bus, pdos=pdos))
 
     def device(
         self, node: BlockingNode, name: str = "", settings: AxisSettings | None = None, *, axis: int = 0
@@ -1040,8 +1027,7 @@ class BlockingMaster(MasterTwin):
         use with other settings (it names the differences), for a node that is no drive by its dictionary, and for an axis that
         the dictionary does not have.
         """
-        found = self._hub.do(self._inner.device, node._inner, name, settings, axis=axis)
-        return self._hub.twin(BlockingDevice, found)
+        return self._hub.twin(BlockingDevice, self._hub.do(self._inner.device, node._inner, name, settings, axis=axis))
 
     def chain(
         self,
@@ -1056,8 +1042,9 @@ class BlockingMaster(MasterTwin):
         Raises UnknownChainError if the description names a bus that this master does not have, LocalProtocolError for a drive
         that is in use with other settings, and for a name that another chain has.
         """
-        found = self._hub.do(self._inner.chain, description, settings, axes=axes, dictionary=dictionary)
-        return self._hub.twin(BlockingChain, found)
+        return self._hub.twin(
+            BlockingChain, self._hub.do(self._inner.chain, description, settings, axes=axes, dictionary=dictionary)
+        )
 
     def load_chains(
         self,
@@ -1083,8 +1070,9 @@ class BlockingMaster(MasterTwin):
 
         node, bus: only events of this one. The queue is bounded: see Subscription. `Event` as a kind means all.
         """
-        found = self._hub.do(self._inner.events, *kinds, node=None if node is None else node._inner, bus=bus)
-        return BlockingSubscription(self._hub, found)
+        return BlockingSubscription(
+            self._hub, self._hub.do(self._inner.events, *kinds, node=None if node is None else node._inner, bus=bus)
+        )
 
     buses: Final[dict[str, Bus]] = attribute("buses", "Master")
 
@@ -1180,14 +1168,12 @@ class BlockingDriveCommissioning(Twin[DriveCommissioning]):
     @property
     def master(self) -> BlockingMaster:
         """As of the async DriveCommissioning; see the text of this class."""
-        found = self._inner.master
-        return self._hub.twin(BlockingMaster, found)
+        return self._hub.twin(BlockingMaster, self._inner.master)
 
     @property
     def node(self) -> BlockingNode:
         """As of the async DriveCommissioning; see the text of this class."""
-        found = self._inner.node
-        return self._hub.twin(BlockingNode, found)
+        return self._hub.twin(BlockingNode, self._inner.node)
 
     settings: Final[AxisSettings] = attribute("settings", "DriveCommissioning")
 

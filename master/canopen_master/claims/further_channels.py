@@ -20,9 +20,8 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from canopen_master.errors import SdoError, SdoRefusedError
-from canopen_master.node import Node
+from canopen_master.node import Node, number_if_present
 from canopen_proto import indices
-from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import is_valid
 from canopen_proto.dictionary import ObjectDictionary, Values
 from canopen_proto.frame import EMCY, KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, key_of_cob_id
@@ -33,7 +32,6 @@ from canopen_transports.loop import protected
 
 _TELL_THE_NODE_ID: Final = ((indices.SDO_SERVER_PARAMETER, TO_SERVER, SDO_CLIENT_TO_SERVER), (indices.COB_ID_EMERGENCY, 0, EMCY))
 """Objects whose CAN-ID is this plus the node-ID."""
-_ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
 
 
 class FurtherChannels:
@@ -106,14 +104,14 @@ class FurtherChannels:
         channel, adds_node_id = self._channels[index]
         try:
             for subindex, key in zip((TO_SERVER, TO_CLIENT), channel, strict=True):
-                cob_id = await self._number(index, subindex)
+                cob_id = await number_if_present(self.node, index, subindex)
                 if cob_id is None or not is_valid(cob_id) or cob_id & DYNAMIC or key_of_cob_id(cob_id) != key:
                     return "is another one in the device than in the file"
-            client = await self._number(index, OTHER_NODE)
+            client = await number_if_present(self.node, index, OTHER_NODE)
             if client:
                 return f"is for the client with node-ID {client}, says the device"
             for index_of_id, subindex, base in _TELL_THE_NODE_ID:
-                cob_id = await self._number(index_of_id, subindex)
+                cob_id = await number_if_present(self.node, index_of_id, subindex)
                 if cob_id is not None:
                     is_own = cob_id & 0x1FFF_FFFF == base + self.node.node_id
                     return "" if is_own else f"answered, but its 0x{index_of_id:04X} is not that of node {self.node.node_id}"
@@ -121,12 +119,3 @@ class FurtherChannels:
             refused = isinstance(error, SdoRefusedError)
             return f"refused to be read: abort 0x{error.abort_code:08X}" if refused else "of the file did not answer"
         return "" if adds_node_id else "answered, but not whose it is: the device has neither 0x1200 nor 0x1014"
-
-    async def _number(self, index: int, subindex: int) -> int | None:
-        """Return a value of the device; None if it does not have the object."""
-        try:
-            return int.from_bytes(await self.node.read_bytes(index, subindex), "little")
-        except SdoRefusedError as refused:
-            if refused.abort_code in _ABSENT:
-                return None
-            raise

@@ -68,8 +68,8 @@ from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import CYCLIC_TYPES
-from canopen_proto.procedures.objects import ABSENT, write
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
+from canopen_proto.procedures.objects import ABSENT, unless_refused, write
+from canopen_proto.procedures.steps import Procedure, ProcedureError
 from canopen_proto.sync import SyncReceived, SyncSent
 from canopen_transports.loop import CancelScope, current_loop
 
@@ -542,11 +542,7 @@ class DirectDrive:
         yield from write(remote, objects.INTERPOLATION_TIME_INDEX, -3)
         yield from write(remote, objects.INTERPOLATION_TIME_UNITS, milliseconds)
         if _SYNC_TIME_OUT in remote.dictionary:
-            try:
-                yield from write(remote, _SYNC_TIME_OUT, 0)
-            except SdoTransferError as failed:
-                if failed.abort_code not in ABSENT:
-                    raise
+            yield from unless_refused(write(remote, _SYNC_TIME_OUT, 0), ABSENT)
 
     def _on_pdo(self, report: PdoReceived) -> None:
         every = self._every.get(report.number)

@@ -37,7 +37,7 @@ from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import define_pdo
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.settings import place_of
-from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
+from canopen_proto.procedures.objects import ABSENT, read, read_if_present, unless_refused, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, act
 
 T = TypeVar("T")
@@ -191,11 +191,7 @@ def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) ->
     is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
     if heartbeat_timeout and HEARTBEAT in node.dictionary and not is_guarded:
         period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))
-        try:
-            yield from write(node, HEARTBEAT, period)
-        except SdoTransferError as failed:
-            if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
-                raise
+        yield from unless_refused(write(node, HEARTBEAT, period), (*ABSENT, AbortCode.READ_ONLY))
     device.limits = yield from read_limits(device.axis, mode_of(device, settings))
 
 
