@@ -167,6 +167,7 @@ def wrong_block_size(bench: Bench) -> Procedure[None]:
     for size in (128, 0) if bench.strict else (128,):
         response = yield from initiate_block_upload(bench, variable.index, variable.subindex, crc=False, block_size=size)
         if abort_code_in(response) is None:
+            expect_response(response, SdoFrame.BLOCK_UPLOAD, f"a block upload with the block size {size}")
             response = yield from ask(bench, bytes((START_UPLOAD,)))
         expect_refusal(abort_code_in(response), BAD_BLOCK_SIZE, f"the block size {size}")
 
