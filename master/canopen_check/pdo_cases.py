@@ -151,15 +151,22 @@ def answers_requests(state: NmtState, bench: Bench) -> Procedure[str]:
 
 
 def _look_for_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
-    key = key_of(bench, pdo)
-    yield from bench.send_remote(key, length_of(bench, pdo))
-    heard = yield from bench.frames_within(key, REACTION_TIME)
-    expect_equal(len(heard), int(live), f"the number of answers to a remote request of {pdo}")
+    heard = yield from _heard_after_request(bench, pdo)
+    own = _changes(heard) if live else 0
+    expect_equal(len(heard) - own, int(live), f"the number of answers to a remote request of {pdo}")
     expect_data(bench, pdo, heard)
 
 
+def _heard_after_request(bench: Bench, pdo: Pdo) -> Procedure[list[FrameHeard]]:
+    key = key_of(bench, pdo)
+    yield from bench.send_remote(key, length_of(bench, pdo))
+    return (yield from bench.frames_within(key, REACTION_TIME))
+
+
 def _look_for_no_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
-    yield from _look_for_answers(bench, pdo, False)
+    heard = yield from _heard_after_request(bench, pdo)
+    if not (live and _changes(heard)):  # else they may be its own events
+        expect_equal(len(heard), 0, f"the number of answers to a remote request of {pdo}, which forbids them,")
 
 
 def _each_tpdo(

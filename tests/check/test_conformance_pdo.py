@@ -292,11 +292,13 @@ class ChangesAtSync(SetsAgain):
 RESTLESS: list[type[DeclaredDevice]] = [SetsAgain, Counts, Flaps, ChangesAtSync]
 
 
-def restless(number: str, device: type[DeclaredDevice], *sent: Alteration, heard: Alteration | None = None) -> Verdict:
+def restless(
+    number: str, device: type[DeclaredDevice], *sent: Alteration, heard: Alteration | None = None, strict: bool = False
+) -> Verdict:
     """How a case ends on a device in Python."""
     changes = [heard] if heard else []
     fault = Fault("restless", node=lambda out, node_id, dictionary: device(out, node_id).node, sent=sent, heard=changes)
-    return Site(fault, description=describe_device(device)).run(BY_NUMBER[number])
+    return Site(fault, description=describe_device(device), strict=strict).run(BY_NUMBER[number])
 
 
 @pytest.mark.thorough(2)
@@ -308,6 +310,14 @@ def test_a_device_whose_values_change_by_themselves_passes(device: type[Declared
     assert told == {
         SetsAgain: {"3.4"}, Counts: {"3.4", "3.5", "3.7"}, Flaps: {"3.4", "3.5", "3.7"}, ChangesAtSync: {"3.7"},
     }[device]  # fmt: skip
+
+
+@pytest.mark.parametrize("device", RESTLESS)
+def test_its_own_events_are_no_answers_to_remote_requests(device: type[DeclaredDevice]) -> None:
+    for number in ("3.3", "3.9", "3.15"):
+        assert restless(number, device, strict=True).result is Result.PASSED, number
+    deaf = restless("3.3", device, ("185#....", None), strict=True)
+    assert "number of answers to a remote request of TPDO 1 is 0" in str(deaf)
 
 
 @pytest.mark.parametrize(("number", "device", "sent", "heard", "said"), [
