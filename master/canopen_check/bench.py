@@ -351,7 +351,13 @@ class Bench:
             raise ViolationError(f"{what}: {heard[0].frame} came")
 
     def sync(self, counter: int | None = None) -> Procedure[None]:
-        """Send a SYNC, and give the device time to react. counter: 1..240; None: an empty frame."""
+        """Send a SYNC, and give the device time to react. counter: 1..240; None: an empty frame.
+
+        Raises ViolationError if there was another SYNC since `silence_sync`: what it sets off would be told of ours.
+        """
+        other = self.probe.take(self.sync_key)
+        if other is not None:
+            raise ViolationError(f"{other.frame} came, a SYNC of another node, or of the device, whose own SYNC is off")
         yield from self.send(self.sync_key, b"" if counter is None else bytes((counter,)))
         yield from self.sleep(REACTION_TIME)
 
@@ -361,6 +367,10 @@ class Bench:
         A producer is silent then: our SYNC must be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). If
         a producer refuses, it is made a consumer by bit 30 of 0x1005.
         """
+        yield from self._stop_own_sync()
+        self.probe.listen_also(self.sync_key)
+
+    def _stop_own_sync(self) -> Procedure[None]:
         if not self.dictionary.has_index(COMMUNICATION_CYCLE_PERIOD) or not (yield from self.number(COMMUNICATION_CYCLE_PERIOD)):
             return
         refusal = yield from self.refusal_of_write(COMMUNICATION_CYCLE_PERIOD, 0, 0)

@@ -66,6 +66,12 @@ def test_another_master_is_named_and_the_device_is_not_accused(what: str) -> Non
     assert f"another master is on the bus and sent {frame}, so that the device cannot be judged: " in verdicts[number].reason
 
 
+@pytest.mark.parametrize("number", ["3.6", "3.7", "3.8", "6.3"])
+def test_the_sync_of_another_node_is_named(number: str) -> None:
+    verdict = results(in_company(10 * MILLISECOND, "080#"), number)[number]
+    assert "080# came, a SYNC of another node, or of the device" in verdict.reason
+
+
 def test_what_fails_without_a_command_of_another_master_fails() -> None:
     goes_on = Fault("goes on", heard=[("605#2B17100000000000", "605#2B17100064000000")])
     for company in (["77F#05", "100#112233441122", "606#4000100000000000"], ["7E5#5100000000800000"]):
