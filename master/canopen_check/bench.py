@@ -22,9 +22,9 @@ from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias, TypeVar
 
 from canopen_check.expectations import Notes, NotInTimeError, TimingError
-from canopen_check.probe import FrameHeard, RawProbe
+from canopen_check.probe import Bystander, FrameHeard, RawProbe
 from canopen_data.description import DeviceDescription
-from canopen_proto.abort import AbortOrigin
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.frame import (
@@ -40,8 +40,15 @@ from canopen_proto.frame import (
     frame_for_key,
     key_of_cob_id,
 )
-from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD, GUARD_TIME, PRODUCER_HEARTBEAT_TIME
-from canopen_proto.machine import MILLISECOND, SECOND, Time, check_node_id
+from canopen_proto.indices import (
+    COB_ID_EMERGENCY,
+    COB_ID_SYNC,
+    COMMUNICATION_CYCLE_PERIOD,
+    GUARD_TIME,
+    INHIBIT_TIME_EMERGENCY,
+    PRODUCER_HEARTBEAT_TIME,
+)
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time, check_node_id
 from canopen_proto.multiplexer import Mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
@@ -82,9 +89,9 @@ Stimulus: TypeAlias = Callable[[Variable, Time], bool]
 class Bench:
     """One device under test; see this module's text.
 
-    node_id, dictionary, description: of the device. probe, sdo, nmt: the machines that talk to it. notes: the findings of the
-    present case. lateness: the most, in ns, that our own process was late since the case began. wrong_defaults: what the cases so
-    far have read instead of an object's default, and named, by mux.
+    node_id, dictionary, description: of the device. probe, sdo, nmt: the machines that talk to it. bystander: hears who else is
+    on the bus. notes: the findings of the present case. lateness: the most, in ns, that our own process was late since the case
+    began. wrong_defaults: what the cases so far have read instead of an object's default, and named, by mux.
     """
 
     def __init__(
@@ -112,7 +119,8 @@ class Bench:
         self.probe = RawProbe(network.out)
         self.sdo = SdoClient(network.out, node_id, timeout=ANSWER_TIME)
         self.nmt = NmtMaster(network.out)
-        for machine in (self.probe, self.sdo, self.nmt):
+        self.bystander = Bystander(network.out, node_id)
+        for machine in (self.probe, self.sdo, self.nmt, self.bystander):
             network.attach(machine)
 
     @property
@@ -175,6 +183,22 @@ class Bench:
             does_not_apply(f"the dictionary has no object 0x{index:04X}:{subindex:02X}")
         return variable
 
+    def is_writable(self, index: int, subindex: int = 0) -> bool:
+        """Return whether the dictionary has an object that a client may write."""
+        variable = self.dictionary.get(index, subindex)
+        return variable is not None and variable.access.writable
+
+    def check_writable(self, index: int, subindex: int = 0) -> None:
+        """End the case as not applicable if the file has this object, and says that no client can write it."""
+        variable = self.dictionary.get(index, subindex)
+        if variable is not None and not variable.access.writable:
+            does_not_apply(f"{variable.label} cannot be written: it is {variable.access} in the file")
+
+    @property
+    def emergency_inhibit_time(self) -> Time:
+        """The time, in ns, by which the device may hold back an emergency message after a reset (0x1015, in 100 us)."""
+        return self.default(INHIBIT_TIME_EMERGENCY) * 100 * MICROSECOND
+
     def check_emergency(self) -> None:
         """End the case as not applicable if the device sends no emergency messages after a reset."""
         cob_id = self.default(COB_ID_EMERGENCY)
@@ -196,12 +220,15 @@ class Bench:
 
     def await_boot_up(self) -> Procedure[None]:
         """Wait for the boot-up frame, whatever heartbeats come before it."""
-        begin = yield from current_time()
-        data = b""
-        while data != b"\x00":
+        begin, frame = (yield from current_time()), None
+        while frame is None or frame.data != b"\x00":
             left = begin + BOOT_TIME - (yield from current_time())
-            heard = yield from self.next_frame(self.error_control_key, max(left, 0), "the boot-up frame")
-            data = heard.frame.data
+            try:
+                frame = (yield from self.next_frame(self.error_control_key, max(left, 0), "the boot-up frame")).frame
+            except NotInTimeError:
+                came = "" if frame is None else f", only {frame}"
+                text = f"the boot-up frame did not come within {BOOT_TIME / SECOND:g} s{came}"
+                raise NotInTimeError(text, BOOT_TIME) from None
         yield from self.sleep(REACTION_TIME)
 
     def command(self, command: NmtCommand, node_id: int | None = None) -> Procedure[None]:
@@ -210,20 +237,29 @@ class Bench:
         yield from act(lambda now: self.nmt.send(command, target, now))
         yield from self.sleep(REACTION_TIME)
 
+    @property
+    def has_heartbeat(self) -> bool:
+        """Whether the device sends a heartbeat, or can be told to. A maker may fix the time (CiA 301 v4.2.0, 7.5.2.20)."""
+        heartbeat = self.dictionary.get(PRODUCER_HEARTBEAT_TIME)
+        return heartbeat is not None and (heartbeat.access.writable or self.default(PRODUCER_HEARTBEAT_TIME) != 0)
+
     def supervise(self) -> Procedure[None]:
         """Make the NMT state visible: by heartbeat if the device has one, else `state` uses guarding."""
-        if self.dictionary.has_index(PRODUCER_HEARTBEAT_TIME):
+        if self.is_writable(PRODUCER_HEARTBEAT_TIME):
             yield from self.write(PRODUCER_HEARTBEAT_TIME, 0, SUPERVISION_PERIOD // MILLISECOND)
-        elif not self.dictionary.has_index(GUARD_TIME):
+        elif not self.has_heartbeat and not self.dictionary.has_index(GUARD_TIME):
             does_not_apply("the device has neither a heartbeat nor guarding: nothing shows its NMT state")
 
     def state(self) -> Procedure[NmtState]:
         """Return the NMT state that the device shows; call `supervise` before."""
         key = self.error_control_key
         self.probe.forget(key)
-        if not self.dictionary.has_index(PRODUCER_HEARTBEAT_TIME):
+        timeout = ANSWER_TIME
+        if not self.has_heartbeat:
             yield from self.send_remote(key, 1)
-        heard = yield from self.next_frame(key, ANSWER_TIME, "a sign of the NMT state")
+        elif not self.is_writable(PRODUCER_HEARTBEAT_TIME):
+            timeout += self.default(PRODUCER_HEARTBEAT_TIME) * MILLISECOND
+        heard = yield from self.next_frame(key, timeout, "a sign of the NMT state")
         data = heard.frame.data
         state = STATE_OF_BYTE[data[0]] if len(data) == 1 else None
         if state is None:
@@ -315,7 +351,13 @@ class Bench:
             raise ViolationError(f"{what}: {heard[0].frame} came")
 
     def sync(self, counter: int | None = None) -> Procedure[None]:
-        """Send a SYNC, and give the device time to react. counter: 1..240; None: an empty frame."""
+        """Send a SYNC, and give the device time to react. counter: 1..240; None: an empty frame.
+
+        Raises ViolationError if there was another SYNC since `silence_sync`: what it sets off would be told of ours.
+        """
+        other = self.probe.take(self.sync_key)
+        if other is not None:
+            raise ViolationError(f"{other.frame} came, a SYNC of another node, or of the device, whose own SYNC is off")
         yield from self.send(self.sync_key, b"" if counter is None else bytes((counter,)))
         yield from self.sleep(REACTION_TIME)
 
@@ -325,6 +367,10 @@ class Bench:
         A producer is silent then: our SYNC must be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). If
         a producer refuses, it is made a consumer by bit 30 of 0x1005.
         """
+        yield from self._stop_own_sync()
+        self.probe.listen_also(self.sync_key)
+
+    def _stop_own_sync(self) -> Procedure[None]:
         if not self.dictionary.has_index(COMMUNICATION_CYCLE_PERIOD) or not (yield from self.number(COMMUNICATION_CYCLE_PERIOD)):
             return
         refusal = yield from self.refusal_of_write(COMMUNICATION_CYCLE_PERIOD, 0, 0)
@@ -336,11 +382,16 @@ class Bench:
     # ---- objects by SDO ----
 
     def transfer(self, procedure: Procedure[T]) -> Procedure[T]:
-        """Carry out an SDO transfer. Raises SdoTransferError; NotInTimeError if there is no answer."""
+        """Carry out an SDO transfer. Raises SdoTransferError; NotInTimeError if there is no answer; ViolationError if there are
+        only frames that are none, such as an abort that names another object."""
+        self.probe.forget(self.response_key)
         try:
             return (yield from procedure)
         except SdoTransferError as failed:
             if failed.origin is AbortOrigin.TIMEOUT:
+                heard = self.probe.take_all(self.response_key)
+                if heard and failed.abort_code != AbortCode.CANNOT_TRANSFER:
+                    raise ViolationError(f"{failed}: {heard[-1].frame}, which it sent, is no answer to that") from failed
                 raise NotInTimeError(str(failed), self.sdo.timeout) from failed
             raise
 
@@ -353,7 +404,11 @@ class Bench:
         return int.from_bytes((yield from self.read(index, subindex)), "little")
 
     def write(self, index: int, subindex: int, value: int) -> Procedure[None]:
-        """Write an unsigned number, with the width in the dictionary. Raises as `transfer` does."""
+        """Write an unsigned number, with the width in the dictionary. Raises as `transfer` does.
+
+        The case does not apply if the file says that the object cannot be written: that is no refusal of the device's.
+        """
+        self.check_writable(index, subindex)
         yield from self.transfer(download(self.sdo, index, subindex, self.encode(index, subindex, value)))
 
     def encode(self, index: int, subindex: int, value: int) -> bytes:

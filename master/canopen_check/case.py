@@ -57,7 +57,7 @@ class Case:
         """Reset the device, then run the body; return the verdict. Never raises a ProcedureError.
 
         "Too late" counts only if our own process was on time. Else the case is run again, and if that does not help, its verdict
-        is a remark. A certain failure always counts.
+        is a remark. A certain failure always counts, unless another master has commanded the device meanwhile: that is a remark.
         """
         missing = [index for index in self.needs if not bench.dictionary.has_index(index)]
         if missing:
@@ -72,6 +72,7 @@ class Case:
         notes = bench.notes
         notes.clear()
         bench.lateness = 0
+        bench.bystander.forget()
         seen: str | None = None
         try:
             if self.uses_device:
@@ -82,7 +83,12 @@ class Case:
                 return Verdict(Result.NOT_APPLICABLE, str(reason), (), tuple(notes.remarks))
         except ProcedureError as failure:
             notes.fail(failure)
-        return notes.verdict(bench.lateness, seen or "")
+        verdict = notes.verdict(bench.lateness, seen or "")
+        command = bench.bystander.command
+        if verdict.result is not Result.FAILED or command is None:
+            return verdict
+        other = f"another master is on the bus and sent {command}, so that the device cannot be judged"
+        return Verdict(Result.REMARK, f"{other}: {verdict.reason}", (), (other, *verdict.failures, *verdict.remarks))
 
 
 def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]], what: str = "object") -> Procedure[str]:

@@ -18,6 +18,7 @@ from canopen_check.sdo_cases import (
     ANY_TIME,
     NEVER_WRITTEN,
     READ_ONLY,
+    STRUCTURE,
     TOO_HIGH,
     TOO_LOW,
     expect_own_value,
@@ -37,9 +38,6 @@ from canopen_proto.verdict import ViolationError, expect, expect_equal
 
 FIRST_OF_MAKER: Final = 0x2000
 """The first index after the communication area."""
-
-STRUCTURE: Final = 0xFF
-"""The subindex that holds data type and object type."""
 
 LIVING: Final = (ERROR_REGISTER, MANUFACTURER_STATUS_REGISTER, *NEVER_WRITTEN)
 

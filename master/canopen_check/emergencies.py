@@ -23,14 +23,18 @@ def errors_heard(bench: Bench) -> list[FrameHeard]:
 
 
 def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
-    """Return the next message about an error. Raises NotInTimeError, which names `what`; timeout: ns."""
-    end = (yield from current_time()) + timeout
+    """Return the next message about an error. Raises NotInTimeError, which names `what`.
+
+    timeout: ns. The inhibit time of emergency messages comes on top: the one before may have been sent just now.
+    """
+    end = (yield from current_time()) + timeout + bench.emergency_inhibit_time
     while True:
         left = max(end - (yield from current_time()), 0)
         heard = yield from bench.next_frame(bench.emcy_key, left, what)
         expect_equal(len(heard.frame.data), 8, f"the length of the emergency message ({heard.frame})")
         if code_of(heard.frame.data):
             return heard
+        end += bench.emergency_inhibit_time
 
 
 def expect_no_error(bench: Bench, duration: Time, what: str) -> Procedure[None]:

@@ -113,7 +113,7 @@ def expect_taken(abort_code: int | None, what: str) -> None:
 def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: str) -> None:
     """Go on if an access was refused with one of these codes, else raise ViolationError. abort_code: None if it was not
     refused. valid: those codes. what: the access, for the text."""
-    codes = " or ".join(f"0x{code:08X}" for code in valid)
+    codes = " or ".join(f"0x{code:08X}" for code in dict.fromkeys(valid))
     if abort_code is None:
         raise ViolationError(f"{what} was not refused; abort {codes} expected")
     if abort_code not in valid:

@@ -63,9 +63,9 @@ def stop_heartbeat(bench: Bench) -> Procedure[None]:
 
 
 def _entries(bench: Bench) -> list[int]:
-    """Return the subindices of the consumer heartbeat time; without any, the case does not apply."""
+    """Return the subindices of the consumer heartbeat time that can be written; without any, the case does not apply."""
     found = [subindex for subindex in bench.dictionary.objects[CONSUMER].variables if subindex]
-    return some(found, "0x1016 has no entry")
+    return some([each for each in found if bench.is_writable(CONSUMER, each)], "0x1016 has no entry that can be written")
 
 
 def _clear_entries(bench: Bench) -> Procedure[list[int]]:
@@ -77,8 +77,8 @@ def _clear_entries(bench: Bench) -> Procedure[list[int]]:
 
 
 def _others(bench: Bench) -> Iterator[int]:
-    """Return node-IDs that are not the device's."""
-    return (node_id for node_id in range(1, MAX_NODE_ID + 1) if node_id != bench.node_id)
+    """Return node-IDs that are not the device's, and of which no heartbeat was heard: other devices may be on the bus."""
+    return (node_id for node_id in range(1, MAX_NODE_ID + 1) if node_id not in {bench.node_id, *bench.bystander.nodes})
 
 
 def _entry(node_id: int, timeout: Time) -> int:
@@ -136,6 +136,16 @@ def expect_lost(bench: Bench, node_id: int) -> Procedure[None]:
     heard = yield from next_error(bench, latest, f"an emergency message about {lost}")
     expect_equal(code_of(heard.frame.data), EMCY_CONNECTION_LOST, f"the error code for {lost}")
     check_not_early(heard.at - begin, MONITORED, f"{lost} was reported")
+
+
+def lose_a_node(bench: Bench) -> Procedure[bool]:
+    """Make the device lose the heartbeat of another node; return False if it monitors none."""
+    if not bench.dictionary.has_index(CONSUMER) or not bench.is_writable(CONSUMER, 1):
+        return False
+    node_id = next(_others(bench))
+    yield from bench.write(CONSUMER, 1, _entry(node_id, MONITORED))
+    yield from expect_lost(bench, node_id)
+    return True
 
 
 def monitor_late(bench: Bench) -> Procedure[str]:

@@ -20,8 +20,10 @@ from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Body, Case, for_each
 from canopen_check.expectations import TimingError, expect_refusal
 from canopen_check.pdo_tools import (
+    PROFILE_EVENTS,
     Pdo,
     all_pdos,
+    content_of,
     create,
     destroy,
     has,
@@ -32,7 +34,7 @@ from canopen_check.pdo_tools import (
     usable,
 )
 from canopen_check.probe import FrameHeard
-from canopen_check.sdo_cases import NO_OBJECT, SYNC_OVERFLOW
+from canopen_check.sdo_cases import NO_OBJECT, SYNC_OVERFLOW, TOO_HIGH
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction
 from canopen_proto.explained import counted
@@ -40,17 +42,19 @@ from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR
 from canopen_proto.indices import COB_ID_SYNC
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
+from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, INHIBIT_TIME, MAX_PDOS, SYNC_START, TRANSMISSION_TYPE
 from canopen_proto.procedures.steps import Procedure, current_time
 from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 ACYCLIC: Final = 0
 ON_REQUEST: Final = 253
 MANUFACTURER_EVENTS: Final = 254
-PROFILE_EVENTS: Final = 255
 EVENT_TYPES: Final = (MANUFACTURER_EVENTS, PROFILE_EVENTS)
 
 EVENT_TIME: Final = 100 * MILLISECOND
+PAUSE: Final = 3 * EVENT_TIME
+"""The inhibit time with which a shorter event timer has to wait."""
+RESERVED_TYPE: Final = 241
 
 UNFORCED: Final = "no stimulus: no event could be caused"
 RESTLESS: Final = "its values change by themselves: each change is an event too"
@@ -67,7 +71,8 @@ LEADS_TO: Final = {
 
 def scan(direction: Direction, bench: Bench) -> Procedure[str]:
     """3.1 and 3.2: each PDO has the communication parameter of the dictionary. No two valid PDOs have the same CAN-ID, and no
-    CAN-ID is restricted. There are no more PDOs than described."""
+    CAN-ID is restricted. There are no more PDOs than described. If the test is strict, a reserved transmission type is refused
+    (7.5.2.35, 7.5.2.37)."""
     pdos, owners = all_pdos(bench, direction), dict[int, Pdo]()
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -80,6 +85,10 @@ def scan(direction: Direction, bench: Bench) -> Procedure[str]:
                 expect(not is_restricted, f"{pdo} has the restricted CAN-ID 0x{cob_id & 0x7FF:03X}")
             other = owners.setdefault(key_of(bench, pdo), pdo)
             expect(other is pdo, f"{other} and {pdo} have the same CAN-ID")
+        if bench.strict and has(bench, pdo, COB_ID) and has(bench, pdo, TRANSMISSION_TYPE):
+            yield from destroy(bench, pdo)
+            refusal = yield from bench.refusal_of_write(pdo.communication, TRANSMISSION_TYPE, RESERVED_TYPE)
+            expect_refusal(refusal, TOO_HIGH, f"the reserved transmission type {RESERVED_TYPE} of {pdo}")
 
     yield from for_each(bench, pdos, look)
     beyond = pdos[-1].number + 1
@@ -142,35 +151,51 @@ def answers_requests(state: NmtState, bench: Bench) -> Procedure[str]:
 
 
 def _look_for_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
-    key = key_of(bench, pdo)
-    yield from bench.send_remote(key, length_of(bench, pdo))
-    heard = yield from bench.frames_within(key, REACTION_TIME)
-    expect_equal(len(heard), int(live), f"the number of answers to a remote request of {pdo}")
+    heard = yield from _heard_after_request(bench, pdo)
+    own = _changes(heard) if live else 0
+    expect_equal(len(heard) - own, int(live), f"the number of answers to a remote request of {pdo}")
     expect_data(bench, pdo, heard)
 
 
+def _heard_after_request(bench: Bench, pdo: Pdo) -> Procedure[list[FrameHeard]]:
+    key = key_of(bench, pdo)
+    yield from bench.send_remote(key, length_of(bench, pdo))
+    return (yield from bench.frames_within(key, REACTION_TIME))
+
+
 def _look_for_no_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
-    yield from _look_for_answers(bench, pdo, False)
+    heard = yield from _heard_after_request(bench, pdo)
+    if not (live and _changes(heard)):  # else they may be its own events
+        expect_equal(len(heard), 0, f"the number of answers to a remote request of {pdo}, which forbids them,")
 
 
 def _each_tpdo(
-    bench: Bench, state: NmtState, types: tuple[int, ...], look: Look, *, event_time: int = 0, sync_start: int = 0
+    bench: Bench,
+    state: NmtState,
+    types: tuple[int, ...],
+    look: Look,
+    *,
+    event_time: int = 0,
+    inhibit_time: int = 0,
+    sync_start: int = 0,
 ) -> Procedure[str]:
+    times = (event_time, EVENT_TIMER), (inhibit_time, INHIBIT_TIME)
+    needed = [subindex for value, subindex in (*times, (sync_start, SYNC_START)) if value]
     count, seen = 0, set[str]()
 
     def try_it(attempt: tuple[Pdo, int]) -> Procedure[None]:
         nonlocal count
         pdo, transmission_type = attempt
-        if (yield from set_up(bench, pdo, transmission_type, event_time=event_time, sync_start=sync_start)):
+        if (
+            yield from set_up(
+                bench, pdo, transmission_type, event_time=event_time, inhibit_time=inhibit_time, sync_start=sync_start
+            )
+        ):
             count += 1
             seen.add((yield from in_state(bench, state, pdo, look)) or "")
             yield from destroy(bench, pdo)
 
-    able = [
-        pdo
-        for pdo in usable(bench, Direction.TPDO)
-        if not (event_time and not has(bench, pdo, EVENT_TIMER)) and not (sync_start and not has(bench, pdo, SYNC_START))
-    ]
+    able = [pdo for pdo in usable(bench, Direction.TPDO) if all(has(bench, pdo, subindex) for subindex in needed)]
     yield from for_each(bench, [(pdo, transmission_type) for pdo in able for transmission_type in types], try_it)
     if not count:
         does_not_apply("no TPDO supports it")
@@ -200,11 +225,33 @@ def _changes(heard: list[FrameHeard]) -> int:
 
 
 def event_timer(state: NmtState, bench: Bench) -> Procedure[str]:
-    """3.5, 3.11, 3.17: an event-driven TPDO with an event timer is sent each time that the timer expires."""
-    return (yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_period, event_time=EVENT_TIME))
+    """3.5, 3.11, 3.17: an event-driven TPDO with an event timer is sent each time that the timer expires; if the test is strict,
+    not before its inhibit time is over."""
+    seen = yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_period, event_time=EVENT_TIME)
+    if bench.strict and any(has(bench, pdo, INHIBIT_TIME) for pdo in usable(bench, Direction.TPDO)):
+        yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_pause, event_time=EVENT_TIME, inhibit_time=PAUSE)
+    return seen
+
+
+def _look_for_pause(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    heard = yield from bench.frames_within(key_of(bench, pdo), 4 * PAUSE)
+    if not live or not has(bench, pdo, INHIBIT_TIME):
+        return
+    seen = f"{pdo}, with an event timer of {EVENT_TIME / MILLISECOND:g} ms and an inhibit time of {PAUSE / MILLISECOND:g} ms,"
+    if len(heard) < 2:
+        raise TimingError(f"{seen} came {counted(len(heard), 'time')} in {4 * PAUSE / SECOND:g} s")
+    shortest = min(after.at - before.at for before, after in pairwise(heard))
+    if shortest < PAUSE * (1 - PERIOD_TOLERANCE):
+        raise TimingError(f"{seen} came again after {shortest / MILLISECOND:.0f} ms")
 
 
 def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    before, variable = None, mapped_variable(bench, pdo)
+    if live:
+        if variable is not None and (yield from bench.stimulate(variable)):  # another value than 0 tells more
+            yield from bench.sleep(REACTION_TIME)
+        before = yield from content_of(bench, pdo)
+        bench.probe.forget(key_of(bench, pdo))
     begin = yield from current_time()
     heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
     own = live and _changes(heard)
@@ -219,6 +266,9 @@ def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None
     else:
         bench.check_period(heard, begin, (yield from current_time()), EVENT_TIME, f"{pdo}")
     expect_data(bench, pdo, heard)
+    if before is not None and not own and before == (yield from content_of(bench, pdo)):
+        seen = heard[-1].frame.data
+        bench.notes.beyond(seen == before, f"{pdo} carries {seen.hex(' ')}; its objects, read by SDO, are {before.hex(' ')}")
     return RESTLESS if own else None
 
 

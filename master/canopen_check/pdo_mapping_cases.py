@@ -19,14 +19,15 @@ from canopen_check.pdo_tools import (
     create,
     destroy,
     entry_of,
+    first_set_up,
     key_of,
     process_objects,
-    set_up,
     try_entries,
     try_mapping,
     with_writable_mapping,
 )
-from canopen_check.sdo_cases import NOT_NOW
+from canopen_check.sdo_cases import NO_CAN_ID, NO_OBJECT, NOT_NOW
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
@@ -138,7 +139,7 @@ def without_procedure(bench: Bench) -> Procedure[str]:
 
 
 def while_valid(bench: Bench) -> Procedure[str]:
-    """3.24: the mapping of a valid PDO cannot be written."""
+    """3.24: the mapping of a valid PDO cannot be written; nor, if the test is strict, its CAN-ID (7.5.2.35, 7.5.2.37)."""
     pdos = [pdo for pdo in with_writable_mapping(bench, *BOTH) if not bench.default(pdo.communication, COB_ID) & COB_ID_INVALID]
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -146,6 +147,10 @@ def while_valid(bench: Bench) -> Procedure[str]:
         if refusal is None:
             refusal = yield from try_entries(bench, pdo, [_new_entry(bench, pdo)])
         expect_refusal(refusal, NOT_NOW, f"a new mapping of {pdo}, which is valid,")
+        if bench.strict:
+            other = bench.default(pdo.communication, COB_ID) ^ 1 << 7
+            refusal = yield from bench.refusal_of_write(pdo.communication, COB_ID, other)
+            expect_refusal(refusal, (*NOT_NOW, *NO_CAN_ID), f"a new CAN-ID of {pdo}, which is valid,")
 
     return (yield from for_each(bench, some(pdos, "no PDO is valid by default"), look, "PDO"))
 
@@ -208,7 +213,11 @@ def map_against_access(direction: Direction, bench: Bench) -> Procedure[str]:
 
 
 def map_unmappable(direction: Direction, bench: Bench) -> Procedure[str]:
-    """3.29 and 3.32: an object that is not mappable cannot be mapped."""
+    """3.29 and 3.32: an object that is not mappable cannot be mapped; nor, if the test is strict, one that is not there."""
+    if bench.strict:
+        free = next(index for index in indices.MANUFACTURER_AREA if not bench.dictionary.has_index(index))
+        missing = Variable(free, 0, "an object that is not there", DataType.UNSIGNED8)
+        yield from _each(bench, direction, [missing], (*NOT_MAPPABLE, *NO_OBJECT))
     found = process_objects(bench, _ALL_ACCESS, mappable=False)
     right = [variable for variable in found if variable.access not in INTO[OTHER[direction]]]
     return (yield from _each(bench, direction, right or found, NOT_MAPPABLE))
@@ -220,8 +229,8 @@ def map_dummy(bench: Bench) -> Procedure[str]:
     found = [variable for variable in _candidates(bench, Direction.RPDO) if variable.access.readable and variable.size == 2]
     if not found or not pdos:
         does_not_apply("no RPDO could carry a dummy object and another one that can be read back")
-    pdo, variable = pdos[0], found[0]
-    yield from set_up(bench, pdo, 255)
+    variable = found[0]
+    pdo = yield from first_set_up(bench, pdos)
     yield from destroy(bench, pdo)
     refusal = yield from try_mapping(bench, pdo, [mapping_entry(mux(DUMMY), 16), entry_of(variable)])
     if refusal is not None:

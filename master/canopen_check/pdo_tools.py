@@ -7,17 +7,18 @@ from typing import Final, NamedTuple
 
 from canopen_check.bench import Bench
 from canopen_check.expectations import some
-from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, Direction, Variable
+from canopen_proto.datatypes import DataType, ValueRangeError
+from canopen_proto.dictionary import Access, Direction, ObjectNotFoundError, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
 from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import mapped, mapping_entry
-from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES
+from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.settings import (
     COB_ID,
     EVENT_TIMER,
     INHIBIT_TIME,
+    INHIBIT_UNIT,
     SYNC_START,
     TRANSMISSION_TYPE,
     communication_index,
@@ -25,6 +26,9 @@ from canopen_proto.pdo.settings import (
     place_of,
 )
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import does_not_apply
+
+PROFILE_EVENTS: Final = 255
 
 _CAN_ID: Final = 0x3FFF_FFFF  # with the frame bit
 
@@ -106,6 +110,22 @@ def length_of(bench: Bench, pdo: Pdo) -> int:
     return (bits + 7) // 8
 
 
+def content_of(bench: Bench, pdo: Pdo) -> Procedure[bytes | None]:
+    """Return the data that a TPDO with its default mapping would have now: read its objects by SDO. None: one cannot be read, or
+    does not fit."""
+    entries = [bench.default(pdo.mapping, subindex) for subindex in range(1, bench.default(pdo.mapping) + 1)]
+    try:
+        mapping, values = Mapping.from_parameters(entries, bench.dictionary), []
+        for component in mapping.components:
+            variable = bench.dictionary.variable((component.index, component.subindex))
+            if not variable.access.readable:
+                return None
+            values.append(variable.decode((yield from bench.read(variable.index, variable.subindex))))
+        return mapping.pack(values)
+    except (MappingError, ObjectNotFoundError, ValueRangeError):
+        return None
+
+
 def mapped_variable(bench: Bench, pdo: Pdo) -> Variable | None:
     """Return the first object that a PDO carries by default."""
     index, subindex, _ = mapped(bench.default(pdo.mapping, 1))
@@ -132,18 +152,32 @@ def set_up(
     transmission_type: int,
     *,
     event_time: Time = 0,
+    inhibit_time: Time = 0,
     sync_start: int = 0,
     requests: bool = False,
 ) -> Procedure[bool]:
     """Set up a PDO with its default CAN-ID and mapping. Return False if the device does not support the type, or remote
     frames."""
     yield from destroy(bench, pdo)
-    if (yield from bench.refusal_of_write(pdo.communication, TRANSMISSION_TYPE, transmission_type)) is not None:
+    if not bench.is_writable(pdo.communication, TRANSMISSION_TYPE):
+        bench.variable(pdo.communication, TRANSMISSION_TYPE)
+        if bench.default(pdo.communication, TRANSMISSION_TYPE) != transmission_type:
+            return False
+    elif (yield from bench.refusal_of_write(pdo.communication, TRANSMISSION_TYPE, transmission_type)) is not None:
         return False
-    for subindex, value in ((INHIBIT_TIME, 0), (EVENT_TIMER, event_time // MILLISECOND), (SYNC_START, sync_start)):
+    times = (INHIBIT_TIME, inhibit_time // INHIBIT_UNIT), (EVENT_TIMER, event_time // MILLISECOND)
+    for subindex, value in (*times, (SYNC_START, sync_start)):
         if has(bench, pdo, subindex):
             yield from bench.write(pdo.communication, subindex, value)
     return (yield from create(bench, pdo, requests=requests)) is None
+
+
+def first_set_up(bench: Bench, pdos: Sequence[Pdo]) -> Procedure[Pdo]:
+    """Set up the first of these PDOs that can be event-driven; return it. Without any, the case does not apply."""
+    for pdo in pdos:
+        if (yield from set_up(bench, pdo, PROFILE_EVENTS)):
+            return pdo
+    does_not_apply(f"no {pdos[0].direction} supports transmission type {PROFILE_EVENTS}")
 
 
 def try_mapping(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int | None]:

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
-from canopen_proto.frame import Frame, RoutingKey
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
 from canopen_proto.machine import Event, Machine, Outbox, Time
 
 MAX_HEARD: Final = 10_000
@@ -83,3 +83,35 @@ class RawProbe(Machine):
         report = FrameHeard(0, frame, now)
         self.heard.append(report)
         self.out.events.append(report)
+
+
+class Bystander(Machine):
+    """Hears who else is on the bus of the device under test; our own frames are not heard.
+
+    nodes: those that have sent a boot-up or a heartbeat. command: the first frame since `forget` that another master sent to the
+    device, by NMT or on its SDO channel; None: there was none.
+    """
+
+    __slots__ = ("_keys", "_node_id", "command", "nodes")
+
+    def __init__(self, out: Outbox, node_id: int) -> None:
+        """node_id: of the device under test."""
+        super().__init__(out)
+        self._node_id = node_id
+        self._keys = NMT, RoutingKey(SDO_CLIENT_TO_SERVER + node_id)
+        self.nodes: set[int] = set()
+        self.command: Frame | None = None
+
+    def can_ids(self) -> Iterable[RoutingKey]:
+        others = (RoutingKey(ERROR_CONTROL + each) for each in range(1, MAX_NODE_ID + 1) if each != self._node_id)
+        return (*self._keys, *others)
+
+    def forget(self) -> None:
+        """Forget the command."""
+        self.command = None
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.key not in self._keys:
+            self.nodes.add(frame.can_id - ERROR_CONTROL)
+        elif self.command is None:
+            self.command = frame

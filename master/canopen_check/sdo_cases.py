@@ -8,11 +8,11 @@ block transfers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Final
 
-from canopen_check.bench import Bench
+from canopen_check.bench import REACTION_TIME, Bench
 from canopen_check.case import Case, for_each
 from canopen_check.expectations import expect_refusal, expect_taken, some
 from canopen_check.raw_sdo import (
@@ -27,12 +27,23 @@ from canopen_check.raw_sdo import (
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, range_of
-from canopen_proto.dictionary import Variable
+from canopen_proto.dictionary import Object, Variable
 from canopen_proto.explained import counted
+from canopen_proto.frame import MAX_NODE_ID, SDO_CLIENT_TO_SERVER, RoutingKey
 from canopen_proto.indices import DEVICE_TYPE, GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DEFAULT_PARAMETERS, STORE_PARAMETERS
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT, expedited_data
+from canopen_proto.sdo.codec import (
+    ABORT,
+    DOWNLOAD_SEGMENT,
+    INITIATE_DOWNLOAD,
+    INITIATE_UPLOAD,
+    SIZE_BIT,
+    TOGGLE,
+    UPLOAD_SEGMENT,
+    expedited_data,
+    segment,
+)
 from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 READ_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.GENERAL_ERROR)
@@ -44,6 +55,7 @@ TOO_LONG: Final = (AbortCode.LENGTH_MISMATCH, AbortCode.LENGTH_TOO_HIGH, AbortCo
 TOO_SHORT: Final = (AbortCode.LENGTH_MISMATCH, AbortCode.LENGTH_TOO_LOW, AbortCode.GENERAL_ERROR)
 TOO_HIGH: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_HIGH, AbortCode.GENERAL_ERROR)
 TOO_LOW: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_LOW, AbortCode.GENERAL_ERROR)
+NO_CAN_ID: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.GENERAL_ERROR)
 NOT_NOW: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.DEVICE_STATE, AbortCode.GENERAL_ERROR)
 BAD_TOGGLE: Final = (AbortCode.TOGGLE_NOT_ALTERNATED, AbortCode.GENERAL_ERROR)
 
@@ -51,6 +63,9 @@ SDO_SERVER: Final = indices.SDO_SERVER_PARAMETER
 ERROR_HISTORY: Final = indices.PREDEFINED_ERROR_FIELD
 HEARTBEAT: Final = indices.PRODUCER_HEARTBEAT_TIME
 SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
+
+STRUCTURE: Final = 0xFF
+"""The subindex that holds data type and object type."""
 
 NEVER_WRITTEN: Final = (ERROR_HISTORY, STORE_PARAMETERS, RESTORE_DEFAULT_PARAMETERS)
 """Objects that act when they are written, and do not hold the value."""
@@ -167,8 +182,17 @@ def read_write_only(bench: Bench) -> Procedure[None]:
 
 
 def read_missing_subindex(bench: Bench) -> Procedure[None]:
-    """2.5: a subindex that does not exist cannot be read."""
+    """2.5: a subindex that does not exist cannot be read; if the test is strict, none behind the last one of any object."""
     expect_refusal((yield from bench.refusal_of_read(DEVICE_TYPE, 1)), NO_SUBINDEX, "reading 0x1000:01")
+
+    def look(described: Object) -> Procedure[None]:
+        beyond = max(each for each in described.variables if each != STRUCTURE) + 1
+        if beyond < STRUCTURE:
+            refusal = yield from bench.refusal_of_read(described.index, beyond)
+            expect_refusal(refusal, NO_SUBINDEX, f"reading 0x{described.index:04X}:{beyond:02X}")
+
+    if bench.strict:
+        yield from for_each(bench, bench.dictionary.objects.values(), look)
 
 
 def read_missing_object(bench: Bench) -> Procedure[None]:
@@ -191,16 +215,26 @@ def _setting_of(bench: Bench, *types: DataType) -> Variable:
 
 def write_too_long(bench: Bench) -> Procedure[None]:
     """2.8: four bytes are too many for an object of one or two."""
-    variable = _setting_of(bench, DataType.UNSIGNED16, DataType.UNSIGNED8)
-    code = yield from bench.refusal_of_write(variable.index, variable.subindex, bytes(4))
-    expect_refusal(code, TOO_LONG, f"writing four bytes to {variable.label}")
+    yield from _write_other_length(bench, 4, TOO_LONG, _setting_of(bench, DataType.UNSIGNED16, DataType.UNSIGNED8), (1, 2))
 
 
 def write_too_short(bench: Bench) -> Procedure[None]:
     """2.9: one byte is too few for an object of two or four."""
-    variable = _setting_of(bench, DataType.UNSIGNED16, DataType.UNSIGNED32)
-    code = yield from bench.refusal_of_write(variable.index, variable.subindex, bytes(1))
-    expect_refusal(code, TOO_SHORT, f"writing one byte to {variable.label}")
+    yield from _write_other_length(bench, 1, TOO_SHORT, _setting_of(bench, DataType.UNSIGNED16, DataType.UNSIGNED32), (2, 4))
+
+
+def _write_other_length(
+    bench: Bench, length: int, valid: Sequence[AbortCode], setting: Variable, sizes: Sequence[int]
+) -> Procedure[None]:
+    """Write so many bytes to a setting; if the test is strict, to each object from 0x2000 on that has one of these sizes too."""
+
+    def look(variable: Variable) -> Procedure[None]:
+        code = yield from bench.refusal_of_write(variable.index, variable.subindex, bytes(length))
+        expect_refusal(code, valid, f"writing {counted(length, 'byte')} to {variable.label}")
+
+    others = [each for each in bench.dictionary if each.index not in indices.COMMUNICATION_AREA and each.access.writable]
+    more = [each for each in others if each.size in sizes] if bench.strict else []
+    yield from for_each(bench, [setting, *more], look)
 
 
 def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
@@ -220,19 +254,16 @@ def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
 
 
 def write_too_high(bench: Bench) -> Procedure[None]:
-    """2.10: a value above an object's limit is refused; else a number of errors other than 0 in 0x1003:00, as CiA's tool tries.
+    """2.10: a value above an object's limit is refused; so is a number of errors other than 0 in 0x1003:00, as CiA's tool tries.
     7.5.2.4"""
     yield from bench.silence_sync()  # the object may be 0x1019
-    for variable, _, above in limited(bench):
-        if above is not None:
-            code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(above))
-            expect_refusal(code, TOO_HIGH, f"writing {above} to {variable.label}")
-            return
+    tried = [(variable, above) for variable, _, above in limited(bench) if above is not None][:1]
     errors = bench.dictionary.get(ERROR_HISTORY)
-    if errors is None or not errors.access.writable:
-        does_not_apply("no object has a high limit of its own")
-    code = yield from bench.refusal_of_write(ERROR_HISTORY, 0, b"\xff")
-    expect_refusal(code, TOO_HIGH, "writing 255 to 0x1003:00")
+    if errors is not None and errors.access.writable:
+        tried.append((errors, 0xFF))
+    for variable, above in some(tried, "no object has a high limit of its own"):
+        code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(above))
+        expect_refusal(code, TOO_HIGH, f"writing {above} to {variable.label}")
 
 
 def write_too_low(bench: Bench) -> Procedure[None]:
@@ -247,9 +278,14 @@ def write_too_low(bench: Bench) -> Procedure[None]:
 
 
 def default_channel(bench: Bench) -> Procedure[None]:
-    """2.12: the first SDO server has the CAN-IDs of the predefined connection set."""
+    """2.12: the first SDO server has the CAN-IDs of the predefined connection set; if the test is strict, requests to the node
+    before and to the next one are not answered."""
     yield from bench.expect_number(SDO_SERVER, 1, bench.request_key, "client to server")
     yield from bench.expect_number(SDO_SERVER, 2, bench.response_key, "server to client")
+    for other in (bench.node_id % MAX_NODE_ID + 1, (bench.node_id - 2) % MAX_NODE_ID + 1) if bench.strict else ():
+        bench.probe.forget(bench.response_key)
+        yield from bench.send(RoutingKey(SDO_CLIENT_TO_SERVER + other), initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0))
+        yield from bench.expect_silence(bench.response_key, REACTION_TIME, f"a request to node {other} was answered")
 
 
 def read_device_type_segmented(bench: Bench) -> Procedure[str]:
@@ -271,8 +307,13 @@ def read_device_type_segmented(bench: Bench) -> Procedure[str]:
 
 
 def write_time(index: int, bench: Bench) -> Procedure[None]:
-    """2.14, 2.15: two bytes in one segment."""
+    """2.14, 2.15: two bytes in one segment. If the test is strict, a first segment with the toggle bit set is refused before."""
+    bench.check_writable(index)
     written = bench.encode(index, 0, ANY_TIME)
+    if bench.strict:
+        yield from ask(bench, initiate(INITIATE_DOWNLOAD | SIZE_BIT, index, 0, len(written).to_bytes(4, "little")))
+        response = yield from ask(bench, segment(DOWNLOAD_SEGMENT | TOGGLE, written, 0))
+        expect_refusal(abort_code_in(response), BAD_TOGGLE, "a download segment with a wrong toggle bit")
     yield from segmented_download(bench, index, 0, written)
     expect_equal((yield from bench.read(index)), written, f"0x{index:04X}:00, read back,")
 
@@ -298,7 +339,8 @@ def wrong_toggle(bench: Bench) -> Procedure[None]:
 def read_segmented_content(bench: Bench) -> Procedure[str]:
     """2.18: segments bring the object's value, each time, and also after a transfer that was left half-way.
 
-    An initiate in mid-transfer begins a new transfer, or is refused with an abort.
+    An initiate in mid-transfer begins a new transfer, or is refused with an abort. If the test is strict, a transfer is left by
+    an abort too, to which no server answers (7.2.4.3.17).
     """
     variable = long_object(bench)
     place = variable.index, variable.subindex
@@ -309,6 +351,10 @@ def read_segmented_content(bench: Bench) -> Procedure[str]:
         expect_refusal(refusal, BAD_COMMAND, "another initiate upload in mid-transfer")
     else:
         expect_equal((yield from upload_segments(bench)), first, f"{variable.label}, begun again in mid-transfer,")
+    if bench.strict:
+        yield from ask(bench, initiate(INITIATE_UPLOAD, *place))
+        yield from bench.send(bench.request_key, initiate(ABORT, *place, AbortCode.GENERAL_ERROR.to_bytes(4, "little")))
+        yield from bench.expect_silence(bench.response_key, REACTION_TIME, "an abort was answered")
     expect_equal((yield from segmented_upload(bench, *place)), first, f"{variable.label}, read again,")
     holds(bench, variable, first, "in segments")
     return f"{variable.label}: {counted(len(first), 'byte')}"

@@ -21,19 +21,21 @@ from canopen_check.dictionary_cases import (
     expect_put_back,
     with_default,
 )
-from canopen_check.pdo_cases import EVENT_TIME, LEADS_TO, PROFILE_EVENTS
-from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
+from canopen_check.pdo_cases import EVENT_TIME, LEADS_TO
+from canopen_check.pdo_tools import PROFILE_EVENTS, Pdo, destroy, has, key_of, length_of, mapped_variable, set_up, usable
 from canopen_check.raw_sdo import initiate
 from canopen_proto.dictionary import Direction
 from canopen_proto.explained import counted
 from canopen_proto.frame import MAX_NODE_ID, NMT
-from canopen_proto.indices import DEVICE_TYPE, NMT_STARTUP
+from canopen_proto.indices import COB_ID_SYNC, DEVICE_TYPE, NMT_STARTUP
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtState
 from canopen_proto.pdo.settings import EVENT_TIMER
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
 from canopen_proto.verdict import NotApplicable, expect, expect_equal
+
+EACH_SYNC: Final = 1
 
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 
@@ -77,25 +79,49 @@ def _those_of(bench: Bench, direction: Direction) -> list[Pdo]:
         return []
 
 
-def expect_tpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
-    """Check that a TPDO comes by its event timer, or, if `lives` is False, that it does not."""
+def expect_tpdo(bench: Bench, pdo: Pdo | None, lives: bool, why: str = "") -> Procedure[None]:
+    """Check that a TPDO comes by its event timer, or, if `lives` is False, that it does not. why: for the text."""
     if pdo is not None:
         heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
-        expect(bool(heard) is lives, f"{pdo} came {counted(len(heard), 'time')}")
+        expect(bool(heard) is lives, f"{pdo} came {counted(len(heard), 'time')} {why}".rstrip())
 
 
-def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
-    """Send an RPDO with another value for its first object; check that it takes effect, or (lives is False) does not. Needs
-    SDO."""
+def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool, why: str = "", state: NmtState | None = None) -> Procedure[None]:
+    """Send an RPDO with another value for its first object; check that it takes effect, or (lives is False) does not. why: for
+    the text. state: to which the device is led for the PDO, from Pre-operational and back; None: it has SDO where it is."""
     variable = None if pdo is None else mapped_variable(bench, pdo)
     if pdo is not None and variable is not None:
         before = yield from bench.read(variable.index, variable.subindex)
         expect_equal(len(before), variable.size, f"the number of bytes of {variable.label}")
         changed = bytes((before[0] ^ 1,)) + before[1:]
+        if state is not None:
+            yield from bench.command(LEADS_TO[state])
         yield from bench.send(key_of(bench, pdo), changed.ljust(length_of(bench, pdo), b"\x00"))
         yield from bench.sleep(REACTION_TIME)
+        if state is not None:
+            yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
         after = yield from bench.read(variable.index, variable.subindex)
-        expect((after != before) is lives, f"{pdo} was {'not ' if lives else ''}processed")
+        expect((after != before) is lives, f"{pdo} was {'not ' if lives else ''}processed {why}".rstrip())
+        if lives:
+            same = f"{variable.label} is {after.hex(' ')} after {pdo} with {changed.hex(' ')}"
+            bench.notes.beyond(after == changed, same)
+
+
+def expect_held_rpdo(bench: Bench, pdo: Pdo | None) -> Procedure[None]:
+    """Check that an RPDO of type 1, if it can have that type, takes effect at the next SYNC (7.2.2.3), and not before."""
+    variable = None if pdo is None else mapped_variable(bench, pdo)
+    if pdo is None or variable is None or not bench.dictionary.has_index(COB_ID_SYNC):
+        return
+    yield from bench.silence_sync()
+    yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    is_held = yield from set_up(bench, pdo, EACH_SYNC)
+    yield from bench.command(NmtCommand.START)
+    if not is_held:
+        return
+    yield from expect_rpdo(bench, pdo, False, "before SYNC")
+    before = yield from bench.read(variable.index, variable.subindex)
+    yield from bench.sync()
+    expect((yield from bench.read(variable.index, variable.subindex)) != before, f"{pdo} was not processed at SYNC")
 
 
 def expect_booted(bench: Bench, when: str) -> Procedure[None]:
@@ -115,11 +141,18 @@ def expect_booted(bench: Bench, when: str) -> Procedure[None]:
 
 
 def expect_other_nodes_business(bench: Bench, state: NmtState) -> Procedure[None]:
-    """Check that commands for another node, and a command that does not exist, change nothing."""
-    other = bench.node_id % MAX_NODE_ID + 1
-    for command in (*LEADS_TO.values(), *_RESETS):
-        yield from bench.send(NMT, bytes((command, other)))
-    yield from bench.send(NMT, bytes((0x03, bench.node_id)))
+    """Check that commands for other nodes, and a command that does not exist, change nothing. Others: the next, the one before,
+    and the device's own number with bit 7, which no node has."""
+    own = bench.node_id
+    for other in (own % MAX_NODE_ID + 1, (own - 2) % MAX_NODE_ID + 1, own | 0x80):
+        bench.probe.forget(bench.error_control_key)
+        for command in (*LEADS_TO.values(), *_RESETS):
+            yield from bench.send(NMT, bytes((command, other)))
+        yield from bench.sleep(REACTION_TIME)
+        is_reset = any(heard.frame.data == b"\x00" for heard in bench.probe.take_all(bench.error_control_key))
+        expect(not is_reset, f"a reset of node {other} has reset the device: it obeys commands that are not for it")
+        yield from bench.expect_state(state, f"after commands for node {other}, which are not for it")
+    yield from bench.send(NMT, bytes((0x03, own)))
     yield from bench.sleep(REACTION_TIME)
     yield from bench.expect_state(state, "after commands that are not for it")
 
@@ -149,7 +182,8 @@ def pre_operational(bench: Bench) -> Procedure[None]:
 
 
 def operational(bench: Bench) -> Procedure[None]:
-    """9.3: in Operational the device has all services."""
+    """9.3: in Operational the device has all services. If the test is strict, a synchronous RPDO waits for SYNC, and a PDO that
+    is made not valid lives no longer."""
     yield from bench.supervise()
     tpdo, rpdo = (yield from timed_tpdo(bench)), (yield from immediate_rpdo(bench))
     yield from bench.command(NmtCommand.START)
@@ -157,22 +191,37 @@ def operational(bench: Bench) -> Procedure[None]:
     yield from expect_sdo(bench, True)
     yield from expect_tpdo(bench, tpdo, True)
     yield from expect_rpdo(bench, rpdo, True)
+    if bench.strict:
+        yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        for pdo in (tpdo, rpdo):
+            if pdo is not None:
+                yield from destroy(bench, pdo)
+        yield from bench.command(NmtCommand.START)
+        yield from expect_tpdo(bench, tpdo, False, "though it is not valid")
+        yield from expect_rpdo(bench, rpdo, False, "though it is not valid")
+        yield from expect_held_rpdo(bench, rpdo)
     yield from expect_other_nodes_business(bench, NmtState.OPERATIONAL)
 
 
 def stopped(bench: Bench) -> Procedure[None]:
-    """9.4: in Stopped the device has only NMT and error control; in Pre-operational its settings are there again."""
+    """9.4: in Stopped the device has only NMT and error control; in Pre-operational its settings are there again. If the test is
+    strict, an RPDO in Stopped does nothing."""
     yield from bench.supervise()
-    tpdo = yield from timed_tpdo(bench)
+    tpdo, rpdo = (yield from timed_tpdo(bench)), (yield from immediate_rpdo(bench))
     for _ in range(2):
         yield from bench.command(NmtCommand.STOP)
+        bench.probe.forget(bench.emcy_key)
         yield from bench.expect_state(NmtState.STOPPED, "stopped")
         yield from expect_sdo(bench, False)
         yield from expect_tpdo(bench, tpdo, False)
         yield from expect_other_nodes_business(bench, NmtState.STOPPED)
+        for heard in bench.probe.take_all(bench.emcy_key):
+            bench.notes.beyond(False, f"the emergency message {heard.frame} came in Stopped")
         yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
         yield from bench.expect_state(NmtState.PRE_OPERATIONAL, "from Stopped")
         yield from expect_sdo(bench, True)
+        if bench.strict:
+            yield from expect_rpdo(bench, rpdo, False, "in Stopped", state=NmtState.STOPPED)
 
 
 def resets(bench: Bench) -> Procedure[None]:

@@ -56,7 +56,7 @@ def run_case(request: pytest.FixtureRequest, device: RealDevice | LocalNode) -> 
 
     def run() -> Verdict:
         if isinstance(device, RealDevice):
-            verdict = trio.run(check_on_bus, case, device)
+            verdict = trio.run(check_on_bus, case, device, _is_strict(request))
         else:
             verdict = _in_world(case, device, request)
         for remark in verdict.remarks:
@@ -71,11 +71,15 @@ def run_case(request: pytest.FixtureRequest, device: RealDevice | LocalNode) -> 
     return run
 
 
-async def check_on_bus(case: Case, device: RealDevice) -> Verdict:
-    """Run a case against a real device, and reset it behind that."""
+def _is_strict(request: pytest.FixtureRequest) -> bool:
+    return bool(request.config.getoption("canopen_strict"))
+
+
+async def check_on_bus(case: Case, device: RealDevice, strict: bool = False) -> Verdict:
+    """Run a case against a real device, and reset it behind that. strict: ask for more than CiA's own tool does."""
     async with open_master(device.locator) as master:
         network = master.bus().network
-        bench = Bench(network, device.node_id, device.description.dictionary, description=device.description)
+        bench = Bench(network, device.node_id, device.description.dictionary, description=device.description, strict=strict)
         try:
             verdict: Verdict = await master.run(case.run(bench))
         finally:
@@ -88,7 +92,7 @@ async def check_on_bus(case: Case, device: RealDevice) -> Verdict:
 def _in_world(case: Case, device: LocalNode, request: pytest.FixtureRequest) -> Verdict:
     world = request.getfixturevalue("canopen_world")
     master = world.master()
-    bench = Bench(master.runs, device.node_id, device.dictionary, stimulus=partial(_change, device))
+    bench = Bench(master.runs, device.node_id, device.dictionary, stimulus=partial(_change, device), strict=_is_strict(request))
     verdict: Verdict = master.run(case.run(bench))
     return verdict
 

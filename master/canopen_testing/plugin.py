@@ -41,6 +41,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--canopen-bus", metavar="LOCATOR", help="the bus of the device for canopen_check, such as socketcan:can0")
     group.addoption("--canopen-device", metavar="NODE", type=int, help="its node-ID; all cases RESET it and WRITE its objects")
     group.addoption("--canopen-storing", action="store_true", help="also the cases that change what the device stores")
+    group.addoption("--canopen-strict", action="store_true", help="ask for more than CiA's own tool does")
     group.addoption("--eds", metavar="FILE", dest="canopen_eds", help="its file (EDS, DCF, XDD)")
 
 

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.frame import Frame, RoutingKey
+from canopen_proto.guarding import TOGGLE
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState, NmtStateChanged
+from canopen_proto.pdo.consumer import PdoConsumer
+from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.sdo.events import ObjectWritten
 from canopen_proto.sdo.server import Pending
 
@@ -127,6 +134,157 @@ class Endless(LocalNode):
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
         return bytes(40_000) if index == 0x1008 else super().read(index, subindex, now)
+
+
+class AnyLength(LocalNode):
+    """Takes any number of bytes for its own objects, and fills them up or cuts them."""
+
+    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
+        return None if index >= 0x2000 else super().check_write(index, subindex, size)
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        variable = self.dictionary.get(index, subindex)
+        if index >= 0x2000 and variable is not None and variable.size is not None and variable.access.writable:
+            data = data[: variable.size].ljust(variable.size, b"\x00")
+        return super().write(index, subindex, data, now)
+
+
+class Bottomless(LocalNode):
+    """The subindex behind the last one of 0x1018 can be read."""
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        return bytes(4) if (index, subindex) == (0x1018, 5) else super().read(index, subindex, now)
+
+
+class OldestFirst(LocalNode):
+    """Its error history begins with the oldest error."""
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        history = self.communication.emcy.history
+        if index == 0x1003 and 0 < subindex <= len(history):
+            return history[-subindex].to_bytes(4, "little")
+        return super().read(index, subindex, now)
+
+
+class KeepsErrors(LocalNode):
+    """No reset clears its error register."""
+
+    register = 0
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        self.register |= self.communication.emcy.error_register
+        return bytes((self.register,)) if index == 0x1001 else super().read(index, subindex, now)
+
+
+class KeepsToggle(LocalNode):
+    """Its first guarding answer after a reset of the communication has the toggle bit."""
+
+    def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
+        super()._on_reset(request, now)
+        if request.command is NmtCommand.RESET_COMMUNICATION:
+            self.communication.guarding._toggle = TOGGLE
+
+
+class GuardedAtOnce(LocalNode):
+    """Its life guarding begins with its life time, without a request."""
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        result = super().write(index, subindex, data, now)
+        guarding = self.communication.guarding
+        if index in (0x100C, 0x100D) and guarding.life_time:
+            guarding._begun = True
+            guarding.set_life_time(guarding.life_time, now)
+        return result
+
+
+class StoresUnsigned(LocalNode):
+    """Refuses a wrong signature, and stores all the same."""
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        result = super().write(index, subindex, data, now)
+        if index == 0x1010 and isinstance(result, AbortCode):
+            self.storage.begin(index, subindex)
+            self.storage.commit(index, subindex)
+        return result
+
+
+class LoadsAtOnce(LocalNode):
+    """Has its defaults as soon as "load" is confirmed."""
+
+    def _on_written(self, report: ObjectWritten, now: Time) -> None:
+        super()._on_written(report, now)
+        if report.index == 0x1011:
+            self.values.reset()
+
+
+class HearsInStopped(LocalNode):
+    """Its RPDOs live in Stopped."""
+
+    def _on_state(self, change: NmtStateChanged, now: Time) -> None:
+        super()._on_state(change, now)
+        for consumer in self.pdos.consumers.values():
+            consumer.set_enabled(change.state in (NmtState.OPERATIONAL, NmtState.STOPPED), now)
+
+
+class TakesShort(PdoConsumer):
+    """Reports that an RPDO is too short, and processes it."""
+
+    __slots__ = ()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        super().receive(frame, now)
+        if self.key is not None and len(frame.data) < self.mapping.byte_length:
+            self.mapping.unpack_into(self.store, frame.data.ljust(self.mapping.byte_length, b"\x55"))
+
+
+class TakesAtOnce(PdoConsumer):
+    """Processes a synchronous RPDO before the SYNC."""
+
+    __slots__ = ()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        super().receive(frame, now)
+        self.on_sync(None, now)
+
+
+class NeverTakes(PdoConsumer):
+    """Never processes a synchronous RPDO."""
+
+    __slots__ = ()
+
+    def on_sync(self, counter: int | None, now: Time) -> None:
+        self._held = None
+
+
+class HearsInvalid(PdoConsumer):
+    """Does not look at bit 31 of the COB-ID."""
+
+    __slots__ = ()
+
+    def configure(self, key: RoutingKey | None, *settings: Any, **more: Any) -> None:
+        super().configure(self.key if key is None else key, *settings, **more)
+
+
+class SendsInvalid(PdoProducer):
+    """Does not look at bit 31 of the COB-ID."""
+
+    __slots__ = ()
+
+    def configure(self, key: RoutingKey | None, *settings: Any, **more: Any) -> None:
+        super().configure(self.key if key is None else key, *settings, **more)
+
+
+def with_pdos(kind: type[PdoConsumer] | type[PdoProducer]) -> Callable[[Outbox, int, ObjectDictionary], LocalNode]:
+    """A node with RPDOs or TPDOs of that kind."""
+
+    def make(out: Outbox, node_id: int, dictionary: ObjectDictionary) -> LocalNode:
+        node = LocalNode(out, node_id, dictionary)
+        for pdo in (*node.pdos.consumers.values(), *node.pdos.producers.values()):
+            if isinstance(pdo, kind.__mro__[1]):
+                pdo.__class__ = kind
+        return node
+
+    return make
 
 
 def without_crc(out: Outbox, node_id: int, dictionary: ObjectDictionary) -> LocalNode:

@@ -37,7 +37,11 @@ FAULTS = [
     ("2.24", Fault("loses it", heard=[("605#815501(.*)", r"605#810000\1"), ("605#D5....(.*)", r"605#D50000\1")]), "read back"),
     ("2.25", Fault("hides its CRC", sent=[("585#A4(.*)", r"585#A0\1")]), "answered by abort 0x05040004"),
     ("2.26", Fault("takes 128", heard=[("605#A008100080(.*)", r"605#A00810007F\1")]), "block size 128 was not refused"),
+    ("2.26", Fault("in segments", sent=[("585#80081000.*", "585#4108100011000000")]), "answered by the command byte 0x41"),
     ("2.26", Fault("another code", sent=[("585#80081000.*", "585#8008100022000008")]), "with 0x08000022"),
+    ("2.26", Fault("takes 0", heard=[("605#A008100000(.*)", r"605#A00810007F\1")], strict=True), "block size 0 was not refused"),
+    *[(number, Fault("sends nothing again", heard=[("605#A200(.*)", r"605#A203\1")], strict=True), "sequence number of a segment")
+      for number in ("2.22", "2.23")],
     ("2.27", Fault("takes 128", heard=[("605#A280(.*)", r"605#A203\1")]), "segment 128 was not refused"),
 ]  # fmt: skip
 CASES = [case for case in block_cases.CASES if case.body is not None]

@@ -12,13 +12,16 @@ from typing import Any
 import pytest
 
 from canopen_check.catalogue import BY_NUMBER, CASES, run_all
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary import Access, ObjectDictionary
+from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.nmt import NmtState
 from canopen_proto.verdict import Result
 from tests.check import certified_nodes as nodes
 from tests.check.certified_nodes import EXPECTS_SYNC, PRODUCES_SYNC, SYNC_PERIOD_US
 from tests.check.conformance_rig import Fault, Site, verdict_of
 from tests.check.faulty_nodes import SelfStarting
+from tests.check.test_conformance_odd_files import altered
+from tests.core.full_device import full_device
 
 BRIEF_REGISTER = (("085#1082..(.*)", r"085#108200\1"), ("585#4F011000..000000", "585#4F01100000000000"))
 NO_REMOTE = Fault("ignores remote requests, and lets them be allowed", heard=[("[1-4]85#R.", None)])
@@ -68,6 +71,51 @@ def test_the_period_of_sync_is_put_back(number: str) -> None:
     assert site.run(BY_NUMBER[number]).result is Result.PASSED
     assert site.result_of(lambda bench: bench.reset()) is None
     assert [site.node.values.store[key] for key in (0x1005_00, 0x1006_00, 0x1019_00)] == [0x80, 10_000, 0]
+
+
+def fixed(*places: tuple[int, int], access: Access = Access.RO, **change: Any) -> ObjectDictionary:
+    """The full device, of which clients cannot write some objects. change: what else is different in them."""
+    return altered({place: {"access": access, **change} for place in places})
+
+
+PDO_TYPES = [(base + number, 2) for base in (0x1400, 0x1800) for number in range(4)]
+UNUSUAL: dict[str, tuple[ObjectDictionary, Sequence[str]]] = {
+    "its heartbeat time is fixed": (fixed((0x1017, 0), access=Access.CONST, default=1000), ["9.2", "9.3", "9.4", "10.1", "10.4"]),
+    "its heartbeat is off for good": (fixed((0x1017, 0), default=0), ["7.2", "7.3", "7.6", "9.2", "9.4"]),
+    "guarding cannot be set": (fixed((0x100C, 0), (0x100D, 0)), ["7.2", "7.3", "7.102"]),
+    "the nodes that it monitors are fixed": (fixed(*((0x1016, number) for number in range(1, 5))), ["4.2"]),
+    "one entry of its monitoring is fixed": (fixed((0x1016, 1)), ["7.104", "7.105", "7.106", "7.107"]),
+    "its SYNC period is fixed": (fixed((0x1006, 0)), ["3.6", "6.3"]),
+    "its transmission types are fixed": (fixed(*PDO_TYPES), ["5.4", "5.6", "9.3"]),
+    "all its PDOs are synchronous": (fixed(*PDO_TYPES, default=1), ["9.3"]),
+    "its EMCY inhibit time is 2 s": (full_device(standard_object(0x1015, 20_000)), ["5.4", "5.5", "5.6", "7.6", "7.106"]),
+    "a PDO has a CAN-ID of 29 bits": (
+        full_device(standard_object(0x1400, highest=5, defaults={1: 0x2000_0205, 2: 255})), ["8.10", "9.3"],
+    ),
+}  # fmt: skip
+"""By what is unusual: a device that is right, and cases that it passes."""
+
+
+@pytest.mark.thorough(4)
+@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize("what", UNUSUAL)
+def test_a_right_device_that_is_unusual_fails_nowhere(what: str, strict: bool) -> None:
+    truth, passed = UNUSUAL[what]
+    results = Site(truth=truth, strict=strict).result_of(lambda bench: run_all(bench))
+    verdicts = {case.number: verdict for case, verdict in results}
+    assert {number: each.failures for number, each in verdicts.items() if each.result is Result.FAILED} == {}
+    assert {number: str(verdicts[number]) for number in passed if verdicts[number].result is not Result.PASSED} == {}
+
+
+def test_what_the_file_forbids_is_no_refusal_of_the_device() -> None:
+    verdict = verdict_of("7.103", truth=fixed((0x1017, 0), access=Access.CONST, default=1000))
+    assert verdict.result is Result.NOT_APPLICABLE
+    assert verdict.reason == "producer_heartbeat_time (0x1017:00) cannot be written: it is const in the file"
+
+
+def test_an_error_history_that_cannot_be_cleared_is_wrong_whatever_the_file_says() -> None:
+    verdict = verdict_of("5.6", truth=fixed((0x1003, 0)))
+    assert verdict.failures == ("clearing 0x1003:00 was refused with 0x06010002",)
 
 
 def certified_site(**more: Any) -> Site:

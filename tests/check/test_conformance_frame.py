@@ -12,7 +12,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox
 from canopen_proto.procedures.steps import Procedure, StepTimeoutError, act
 from canopen_proto.verdict import NotApplicable, Result, ViolationError, expect_equal
-from tests.check.conformance_rig import Site
+from tests.check.conformance_rig import Fault, Site
 from tests.core.full_device import full_device
 
 PAGE = Path(__file__).parent.parent.parent / "docs" / "conformance.md"
@@ -76,6 +76,12 @@ def test_a_device_that_is_not_there() -> None:
     site = Site()
     site.world.leave(site.device)
     assert "boot-up" in site.run(ends(None)).reason
+
+
+def test_a_device_that_never_boots_rightly_has_verdicts_all_the_same() -> None:
+    site = Site(Fault("no boot-up", sent=[("705#00", None)]))
+    ((_, verdict),) = site.result_of(lambda bench: run_all(bench, [BY_NUMBER["9.1"]]))
+    assert verdict.failures == ("the boot-up frame did not come within 5 s",)
 
 
 def test_values_are_shown_so_that_people_can_read_them() -> None:

@@ -17,7 +17,16 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectTyp
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result, ViolationError
 from tests.check.conformance_rig import Fault, Site, check_caught, refused, verdict_of
-from tests.check.faulty_nodes import BusyWhenOperational, CountsStarts, Inverting, KeepsCommunication
+from tests.check.faulty_nodes import (
+    BusyWhenOperational,
+    CountsStarts,
+    Inverting,
+    KeepsCommunication,
+    KeepsErrors,
+    OldestFirst,
+    TakesShort,
+    with_pdos,
+)
 from tests.core.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
@@ -55,6 +64,8 @@ FAULTS = [
     ("4.9", Fault("inverts", node=Inverting, strict=True), "setting .* written back"),
     ("4.9", Fault("refuses", sent=[("585#60002000.*", "585#8000200030000906")]), "own value to setting .* with 0x06090030"),
     ("5.1", Fault("another COB-ID", dictionary=full_device(standard_object(0x1014, 0x86))), "0x1014:00 is 134"),
+    ("5.1", Fault("takes a CAN-ID", heard=[("605#23141000FF010000", "605#2314100085000000")], strict=True),
+     "a new CAN-ID in 0x1014:00"),
     ("5.2", Fault("an error", sent=[("585#4F011000.*", "585#4F01100001000000")], strict=True), "has an error"),
     ("5.3", Fault("an entry", sent=[("585#80031001.*", "585#4303100100000000")]), "was not refused"),
     ("5.3", Fault("one, but none", sent=[("585#4F031000.*", "585#4F03100001000000")]), "refused reading 0x1003:01"),
@@ -63,13 +74,17 @@ FAULTS = [
     ("5.4", Fault("not generic", sent=[("085#108211(.*)", r"085#108210\1")], strict=True), "lacks the generic error"),
     ("5.4", Fault("short", sent=[("085#(.{10})(.*)", r"085#\1")]), "length of the emergency message"),
     ("5.4", Fault("twice", sent=[("(085#.*)", r"\1 \1")]), "second emergency"),
+    ("5.4", Fault("takes a short one", node=with_pdos(TakesShort), strict=True),
+     "RPDO 1 was processed though it was too short: .* 01 55"),
+    ("5.5", Fault("never cleared", node=KeepsErrors, strict=True), "is 0x11 after the reset"),
     ("5.5", Fault("no register", sent=[("085#108211(.*)", r"085#108200\1")], strict=True), "is empty"),
     ("5.5", Fault("register at once forgotten", sent=[("585#4F011000.*", "585#4F01100000000000")], strict=True),
      "0x1001:00 is 0x00 after"),
     ("5.5", Fault("no register at all", sent=[("585#4F011000.*", "585#8001100000000206")]), "refused reading 0x1001:00"),
     ("5.6", Fault("another entry", sent=[("585#430310011082(.*)", r"585#430310012082\1")]), "error code in 0x1003:01"),
+    ("5.6", Fault("oldest first", node=OldestFirst, strict=True), "after another error the error code in 0x1003:01 is 33296"),
     ("5.6", Fault("not cleared", sent=[("585#4F031000.*", "585#4F03100001000000")]), "after clearing"),
-    ("5.6", Fault("clears never", sent=[HISTORY_REFUSED]), "refused writing 0x1003:00"),
+    ("5.6", Fault("clears never", sent=[HISTORY_REFUSED]), "clearing 0x1003:00 was refused with 0x08000024"),
 ]  # fmt: skip
 CASES = (*dictionary_cases.CASES, *emergency_cases.CASES)
 

@@ -136,7 +136,7 @@ def test_a_device_without_emergency_messages(default: int) -> None:
 def test_a_subindex_that_is_not_there() -> None:
     device = altered({(0x1400, 2): None, (0x1016, 1): None, (0x1016, 2): None, (0x1016, 3): None, (0x1016, 4): None})
     assert verdict_of("5.4", truth=device).reason == "the dictionary has no object 0x1400:02"
-    assert verdict_of("7.104", truth=device).reason == "0x1016 has no entry"
+    assert verdict_of("7.104", truth=device).reason == "0x1016 has no entry that can be written"
     assert verdict_of("4.5", truth=altered({(0x2004, 1): None})).result is Result.PASSED
 
 

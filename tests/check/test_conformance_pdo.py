@@ -67,6 +67,9 @@ FAULTS = [
     ("3.1", Fault("one more", dictionary=full_device(standard_object(0x1404, highest=2))), "reading 0x1404:01 was not refused"),
     ("3.2", Fault("another type", dictionary=full_device(tpdo(0x40000185, 5))), "0x1800:00"),
     ("3.2", Fault("one more", dictionary=full_device(standard_object(0x1804, highest=2))), "reading 0x1804:01 was not refused"),
+    *[(f"3.{number}", Fault("takes a reserved type",
+      heard=[(rf"605#2F00{first}02F1(.*)", rf"605#2F00{first}02FF\1")], strict=True),
+       "reserved transmission type 241 of .PDO 1 was not refused") for number, first in ((1, "14"), (2, "18"))],
     ("3.3", Fault("deaf to requests", heard=[("185#R2", None)], strict=True), "number of answers .* is 0"),
     ("3.3", Fault("answers at length", sent=[("185#....", "185#000000")], strict=True), "length of TPDO 1"),
     ("3.3", Fault("does not forbid", heard=[("605#230018018501004(.)", "605#2300180185010000")], strict=True),
@@ -75,6 +78,12 @@ FAULTS = [
     ("3.4", Fault("twice", sent=[("(185#....)", r"\1 \1")]), "number of TPDO 1 for one event is 2"),
     ("3.5", Fault("twice", sent=[("(185#....)", r"\1 \1")]), "TPDO 1 came 20 times in 1 s, one each 47.4 ms; the period"),
     ("3.5", Fault("never", sent=[("385#....", None)]), "TPDO 3 came 0 times in 1 s; the period is 100 ms"),
+    ("3.5", Fault("big-endian", sent=[("185#(..)(..)", r"185#\2\1")], strict=True),
+     "carries 00 01; its objects, read by SDO, are 01 00"),
+    ("3.5", Fault("no inhibit time", heard=[("605#2B001803B80B(.*)", r"605#2B0018030000\1")], strict=True),
+     "came again after 100 ms"),
+    ("3.5", Fault("inhibit time in ms", heard=[("605#2B001803B80B(.*)", r"605#2B0018033075\1")], strict=True),
+     "came 1 time in 1.2 s"),
     ("3.6", Fault("never", sent=[("185#....", None)]), "TPDO 1 of type 1 came"),
     ("3.6", Fault("each time", heard=[("605#2F01180203000000", "605#2F01180201000000")]), "TPDO 2 of type 3 came"),
     ("3.7", Fault("no SYNC", heard=[("605#2F00180200000000", "605#2F001802FF000000")]), "before SYNC"),
@@ -99,14 +108,20 @@ FAULTS = [
     ("3.23", Fault("takes it all the same", node=Permissive, sent=[("585#60(001601)00000000", r"585#80\g<1>22000008")]),
      "after a refused write"),
     ("3.24", Fault("permissive", node=Permissive), "which is valid, was not refused"),
+    ("3.24", Fault("takes a CAN-ID", heard=[("605#2300140185020000", "605#2300140105020000")], strict=True),
+     "new CAN-ID of RPDO 1, which is"),
     ("3.25", Fault("permissive", node=Permissive), "65 objects in RPDO 1 was not refused"),
     ("3.26", Fault("permissive", node=Permissive), "96 bits in RPDO 1 was not refused"),
     ("3.27", Fault("fixed", node=Fixed), "output_16 .* was refused with 0x06040041"),
     ("3.28", Fault("permissive", node=Permissive), "was not refused"),
     ("3.29", Fault("permissive", node=Permissive), "setting .* was not refused"),
+    ("3.29", Fault("maps nothing", heard=[("605#2300160108000620", "605#2300160110001164")], strict=True),
+     "is not there .* not refused"),
     ("3.30", Fault("fixed", node=Fixed), "was refused"),
     ("3.31", Fault("permissive", node=Permissive), "output_16 .* was not refused"),
     ("3.32", Fault("permissive", node=Permissive), "was not refused"),
+    ("3.32", Fault("maps nothing", heard=[("605#23001A0108000620", "605#23001A0110000164")], strict=True),
+     "is not there .* not refused"),
     ("3.33", Fault("shifted", heard=[("205#FFFF0100", "205#0100FFFF")]), "with a dummy object"),
 ]  # fmt: skip
 
@@ -277,11 +292,13 @@ class ChangesAtSync(SetsAgain):
 RESTLESS: list[type[DeclaredDevice]] = [SetsAgain, Counts, Flaps, ChangesAtSync]
 
 
-def restless(number: str, device: type[DeclaredDevice], *sent: Alteration, heard: Alteration | None = None) -> Verdict:
+def restless(
+    number: str, device: type[DeclaredDevice], *sent: Alteration, heard: Alteration | None = None, strict: bool = False
+) -> Verdict:
     """How a case ends on a device in Python."""
     changes = [heard] if heard else []
     fault = Fault("restless", node=lambda out, node_id, dictionary: device(out, node_id).node, sent=sent, heard=changes)
-    return Site(fault, description=describe_device(device)).run(BY_NUMBER[number])
+    return Site(fault, description=describe_device(device), strict=strict).run(BY_NUMBER[number])
 
 
 @pytest.mark.thorough(2)
@@ -293,6 +310,14 @@ def test_a_device_whose_values_change_by_themselves_passes(device: type[Declared
     assert told == {
         SetsAgain: {"3.4"}, Counts: {"3.4", "3.5", "3.7"}, Flaps: {"3.4", "3.5", "3.7"}, ChangesAtSync: {"3.7"},
     }[device]  # fmt: skip
+
+
+@pytest.mark.parametrize("device", RESTLESS)
+def test_its_own_events_are_no_answers_to_remote_requests(device: type[DeclaredDevice]) -> None:
+    for number in ("3.3", "3.9", "3.15"):
+        assert restless(number, device, strict=True).result is Result.PASSED, number
+    deaf = restless("3.3", device, ("185#....", None), strict=True)
+    assert "number of answers to a remote request of TPDO 1 is 0" in str(deaf)
 
 
 @pytest.mark.parametrize(("number", "device", "sent", "heard", "said"), [

@@ -11,7 +11,7 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
-from tests.check.faulty_nodes import KeepsNothing, RestoresNothing
+from tests.check.faulty_nodes import KeepsNothing, LoadsAtOnce, RestoresNothing, StoresUnsigned
 from tests.core.full_device import full_device
 
 SAVE, LOAD = "73617665", "6C6F6164"
@@ -30,6 +30,14 @@ FAULTS = [
     *[(number, REFUSES_SAVE, "saving by 0x1010:0. was refused with 0x08000020") for number in ("8.2", "8.6", "8.9")],
     *[(number, RESTORES, "restored by 0x1011:0., guard_time .* is 55 01, not 00 00") for number in ("8.4", "8.8")],
     *[(number, REFUSES_LOAD, "loading by 0x1011:0. was refused with 0x08000020") for number in ("8.4", "8.8")],
+    *[
+        (number, Fault("stores all the same", node=StoresUnsigned, strict=True), "was refused, and has stored guard_time")
+        for number in ("8.1", "8.5")
+    ],
+    *[
+        (number, Fault("loads at once", node=LoadsAtOnce, strict=True), "has changed guard_time .* at once")
+        for number in ("8.4", "8.8")
+    ],
     ("8.9", KEEPS, "saved, after a reset"),
     ("8.10", Fault("takes any for SYNC", sent=[("585#80051000.*", "585#6005100000000000")]), "0x000 in cob_id_sync .* was not"),
     ("8.10", Fault("takes any for EMCY", sent=[("585#80141000.*", "585#6014100000000000")]), "0x000 in cob_id_emergency"),

@@ -340,6 +340,32 @@ def test_a_device_that_does_wrong_fails_its_case(suite: pytest.Pytester) -> None
     assert "case " in run.stdout.str()
 
 
+LOOSE = """
+import pytest
+from canopen_data.descriptions import load_description
+from canopen_proto import LocalNode
+
+class Loose(LocalNode):
+    def read(self, index, subindex, now):
+        return bytes(4) if (index, subindex) == (0x1018, 5) else super().read(index, subindex, now)
+
+@pytest.fixture
+def canopen_device(canopen_world):
+    return canopen_world.device(lambda out: Loose(out, 5, load_description("sample_io.eds").dictionary))
+
+def test_it(canopen_check):
+    canopen_check()
+"""
+
+
+def test_a_strict_test_asks_for_more(suite: pytest.Pytester) -> None:
+    suite.makepyfile(LOOSE)
+    suite.runpytest("-k", "2.5-").assert_outcomes(passed=1, deselected=len(CASES) - 1)
+    run = suite.runpytest("-k", "2.5-", "--canopen-strict")
+    run.assert_outcomes(failed=1, deselected=len(CASES) - 1)
+    assert "reading 0x1018:05 was not refused" in run.stdout.str()
+
+
 @pytest.mark.parametrize("wrong", ["sed=3", "'lose'"])
 def test_what_is_no_fault_is_refused_and_not_left_out(suite: pytest.Pytester, wrong: str) -> None:
     suite.makepyfile(f"import pytest\n@pytest.mark.canopen_faults({wrong})\ndef test_it(canopen_world): pass")

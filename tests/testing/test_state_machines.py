@@ -17,7 +17,7 @@ from canopen_proto.heartbeat import NodeBooted
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.network import Network
-from canopen_proto.nmt import NmtCommand, NmtMaster
+from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.procedures.objects import read, write
 from canopen_proto.procedures.steps import Procedure, sleep
 from canopen_proto.remote_node import RemoteNode
@@ -35,7 +35,7 @@ from tests.examples import examples
 
 
 class OurDevice(MasterAgainstDevice):
-    dictionary = io_device()
+    dictionary = io_device(heartbeat_ms=100)
     kept = (OUTPUT, TEXT)
 
 
@@ -47,7 +47,7 @@ def steps_of_failure(machine: type[RuleBasedStateMachine], match: str) -> list[s
     return [step for step in re.findall(r"state\.(\w+)\(", notes) if step not in INVARIANTS]
 
 
-INVARIANTS = ("teardown", "nothing_is_wrong_on_the_bus", "the_master_did_nothing_wrong")
+INVARIANTS = ("teardown", "nothing_is_wrong_on_the_bus", "its_state_is_shown", "the_master_did_nothing_wrong")
 
 
 def test_our_device_does_nothing_wrong() -> None:
@@ -76,6 +76,23 @@ class TakesAll(LocalNode):
         return None if answer is AbortCode.NO_SUCH_OBJECT else answer
 
 
+class NeverStarts(LocalNode):
+    """Stays pre-operational when it is told to start."""
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        is_start = frame.can_id == 0 and frame.data[0] == NmtCommand.START
+        if not (is_start and self.state is NmtState.PRE_OPERATIONAL):
+            super().receive(frame, now)
+
+
+class ObeysNeighbour(LocalNode):
+    """Takes commands for node 6 as its own."""
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        neighbours = frame.can_id == 0 and frame.data[1:] == b"\x06"
+        super().receive(Frame(0, frame.data[:1] + b"\x05") if neighbours else frame, now)
+
+
 class HangsInReset(LocalNode):
     """Boots when it is switched on, and not again."""
 
@@ -95,7 +112,7 @@ class Firmware:
 
     def on_frame(self, frame: Frame, now: Time) -> None:
         data = frame.data
-        if frame.can_id == 0 and data[0] in (0x81, 0x82):
+        if frame.can_id == 0 and data[0] in (0x81, 0x82) and data[1] in (0, 5):
             self.world.send(self.place, Frame(0x705, b"\0"))
         if frame.can_id != 0x605:
             return
@@ -115,7 +132,7 @@ class Firmware:
 def device(make: type[LocalNode]) -> type[MasterAgainstDevice]:
     class Device(OurDevice):
         def join(self, world: World) -> None:
-            world.device(lambda out: make(out, 5, io_device()))
+            world.device(lambda out: make(out, 5, self.dictionary))
 
     return Device
 
@@ -134,6 +151,8 @@ class ByHand(MasterAgainstDevice):
         (ByHand, "toggle", ["read"]),
         (device(Swapped), r"output .*was written with .. .., and is read as", ["write", "read_back"]),
         (device(TakesAll), "it took an object that it does not have", ["write_what_is_not_there"]),
+        (device(NeverStarts), "told to be OPERATIONAL, and its heartbeat is 705#7F", ["command", "wait"]),
+        (device(ObeysNeighbour), "a command for node 6 has reset the device", ["command_another_node"]),
         (device(HangsInReset), "boot-up of node 5 did not come", ["command"]),
     ],
 )

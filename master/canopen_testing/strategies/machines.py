@@ -22,6 +22,8 @@ from hypothesis.strategies import SearchStrategy
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.frame import EMCY, ERROR_CONTROL, MAX_NODE_ID, Frame
+from canopen_proto.indices import NMT_STARTUP
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.observer.observer import RULES
@@ -52,7 +54,8 @@ class MasterAgainstDevice(RuleBasedStateMachine):
 
     Set `dictionary`, and put your device into the world in `join`; by default it is our own device of that dictionary. After each
     step nothing may be wrong on the bus (the observer's rules but `tolerated`). In pre-operational and operational each SDO
-    request is answered. A reset ends with a boot-up. What was written to one of `kept` is read again.
+    request is answered. A reset ends with a boot-up. Its heartbeats show the NMT state that was commanded, until it sends an
+    emergency; with 0x1F80 it may start by itself. What was written to one of `kept` is read again.
     Shrinks towards few steps, small values and objects that stand first in the dictionary.
     """
 
@@ -75,6 +78,8 @@ class MasterAgainstDevice(RuleBasedStateMachine):
         self.world = World()
         self.state = NmtState.PRE_OPERATIONAL
         self._held: dict[int, bytes] = {}
+        self._looked = 0  # so many frames of the trace were looked at for its state
+        self._shows = not self.dictionary.has_index(NMT_STARTUP)  # whether its heartbeats have to show `state`
         self.join(self.world)
         self.master = self.world.master()
         self.master.node(self.node_id, self.dictionary)
@@ -89,9 +94,22 @@ class MasterAgainstDevice(RuleBasedStateMachine):
             self.world.run_until(boot_up(self.node_id), BOOT_TIME)
             self._held.clear()
             self.state = NmtState.PRE_OPERATIONAL
+            self._shows = not self.dictionary.has_index(NMT_STARTUP)
         else:
             self.world.advance(10 * MILLISECOND)
             self.state = target_of(command)
+            self._shows = True
+        self._looked = len(self.world.bus().trace)
+
+    @rule()
+    def command_another_node(self) -> None:
+        """Send each NMT command to the next node: they are not for the device."""
+        before, other = len(self.world.bus().trace), self.node_id % MAX_NODE_ID + 1
+        for command in NmtCommand:
+            self.master.command(command, other)
+        self.world.advance(10 * MILLISECOND)
+        booted = [each for each in self.world.bus().trace[before:] if each.frame == Frame(ERROR_CONTROL + self.node_id, b"\x00")]
+        assert not booted, f"a command for node {other} has reset the device"
 
     @precondition(lambda self: self.state is not NmtState.STOPPED)
     @rule(data=st.data())
@@ -134,6 +152,20 @@ class MasterAgainstDevice(RuleBasedStateMachine):
     def nothing_is_wrong_on_the_bus(self) -> None:
         """Let the observer judge."""
         self.world.bus().observer.clean(but=self.tolerated)
+
+    @invariant()
+    def its_state_is_shown(self) -> None:
+        """Look at its heartbeats since the last command."""
+        trace = self.world.bus().trace
+        for passed in trace[self._looked :] if self._shows else ():
+            frame = passed.frame
+            if frame.can_id == EMCY + self.node_id:
+                self._shows = False  # an error may change the state (0x1029)
+                break
+            if frame.can_id == ERROR_CONTROL + self.node_id and len(frame.data) == 1 and frame.data[0]:
+                is_right = frame.data[0] == self.state  # bit 7 too: nobody asks for guarding here
+                assert is_right, f"the device was told to be {self.state.name}, and its heartbeat is {frame}"
+        self._looked = len(trace)
 
     def _drawn(self, data: st.DataObject, of: list[Variable]) -> Variable:
         """Draw a variable; a failing example shows its place and name."""
