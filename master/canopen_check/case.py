@@ -56,8 +56,8 @@ class Case:
     def run(self, bench: Bench) -> Procedure[Verdict]:
         """Reset the device, then run the body; return the verdict. Never raises a ProcedureError.
 
-        "Too late" counts only if our own process was on time. Else the case is run again, and if that does not help, its verdict
-        is a remark. A certain failure always counts, unless another master has commanded the device meanwhile: that is a remark.
+        "Too late" counts only if our own process was on time. Else the case is run again, and if that does not help, it is not
+        judged. A certain failure always counts, unless another master has commanded the device meanwhile: then it is not judged.
         """
         missing = [index for index in self.needs if not bench.dictionary.has_index(index)]
         if missing:
@@ -88,7 +88,7 @@ class Case:
         if verdict.result is not Result.FAILED or command is None:
             return verdict
         other = f"another master is on the bus and sent {command}, so that the device cannot be judged"
-        return Verdict(Result.REMARK, f"{other}: {verdict.reason}", (), (other, *verdict.failures, *verdict.remarks))
+        return Verdict(Result.NOT_JUDGED, f"{other}: {verdict.reason}", (), (other, *verdict.failures, *verdict.remarks))
 
 
 def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]], what: str = "object") -> Procedure[str]:

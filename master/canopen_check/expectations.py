@@ -90,7 +90,7 @@ class Notes:
         if certain:
             return Verdict(Result.FAILED, _summary(certain), certain, remarks)
         if excused:
-            return Verdict(Result.REMARK, f"{late}: {_summary(excused)}", (), remarks)
+            return Verdict(Result.NOT_JUDGED, f"{late}: {_summary(excused)}", (), remarks)
         if remarks:
             return Verdict(Result.REMARK, _summary(remarks), (), remarks)
         return Verdict(Result.PASSED, seen)

@@ -49,7 +49,8 @@ def device_of(config: pytest.Config) -> RealDevice:
 
 
 def run_case(request: pytest.FixtureRequest, device: RealDevice | LocalNode) -> RunCase:
-    """Return the function that runs the case of this test: passed, failed with what the device did wrong, or skipped."""
+    """Return the function that runs the case of this test: passed, failed with what the device did wrong or
+    why it cannot be judged, or skipped."""
     case: Case = request.param
     if case.stores and not request.config.getoption("canopen_storing"):
         pytest.skip("it changes what the device stores: --canopen-storing")
@@ -66,6 +67,8 @@ def run_case(request: pytest.FixtureRequest, device: RealDevice | LocalNode) -> 
         if verdict.result is Result.FAILED:
             lines = "\n".join(f"  {failure}" for failure in verdict.failures)
             pytest.fail(f"case {case.number}, {case.title}:\n{lines}", pytrace=False)
+        if verdict.result is Result.NOT_JUDGED:
+            pytest.fail(f"case {case.number}, {case.title}: {verdict.reason}", pytrace=False)
         return verdict
 
     return run

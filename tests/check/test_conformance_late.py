@@ -88,7 +88,7 @@ def verdict_with(pauses: Pauses, number: str, fault: Fault | None = None) -> Ver
 )
 def test_whatever_pauses_we_make_a_sound_device_never_fails(number: str, pauses: Pauses) -> None:
     verdict = verdict_with(pauses, number)
-    assert verdict.result in (Result.PASSED, Result.REMARK), verdict
+    assert verdict.result in (Result.PASSED, Result.NOT_JUDGED), verdict
     assert verdict.result is Result.PASSED or "this computer was late by" in verdict.reason
 
 
@@ -123,7 +123,7 @@ def test_a_case_that_stores_is_run_once() -> None:
     """It may have left other values than it found: a second run would put those back."""
     deaf = Fault("no SYNC", sent=[("080#..", None)])
     verdict = verdict_with([(400, 600)], "6.8", deaf)
-    assert verdict.result is Result.REMARK
+    assert verdict.result is Result.NOT_JUDGED
     assert "a SYNC did not come within 1 s" in verdict.reason
 
 
@@ -169,4 +169,4 @@ def test_two_failures_at_once(look: str, fault: Fault, said: str, excuse: int, c
     assert ("0x2000:00 was not refused" in verdict.failures) is certain
     assert any(said in each for each in verdict.failures) is not is_excused
     assert any(said in each for each in verdict.remarks) is is_excused
-    assert verdict.result is (Result.REMARK if is_excused and not certain else Result.FAILED)
+    assert verdict.result is (Result.NOT_JUDGED if is_excused and not certain else Result.FAILED)

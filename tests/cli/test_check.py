@@ -26,6 +26,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event, Outbox, Time
 from canopen_proto.nmt import NmtState, NmtStateChanged
+from canopen_transports import open_transport
 from tests.check.faulty_nodes import SelfStarting
 from tests.cli.cli_support import Outcome, Run, runner_in_folder
 from tests.core.full_device import full_device
@@ -106,10 +107,16 @@ def test_a_file_with_a_mistake(run: Run) -> None:
     outcome = run("check", "faulty.eds", "--junit", "report.xml")
     assert outcome.status == ExitCode.DIFFERENT
     assert "faulty.eds:366:10: error: in [2000] Filter time: LowLimit 10001 is above" in outcome.out
-    assert "0 passed, 1 failed, 0 not applicable (1.0)" in outcome.err
+    assert "0 passed, 1 failed (1.0), 0 not applicable" in outcome.err
     assert "canopen eds lint faulty.eds" in outcome.err
     assert ElementTree.parse("report.xml").getroot().get("failures") == "1"
-    assert run("check", "faulty.eds", "--json").json["counts"] == {"passed": 0, "remark": 0, "failed": 1, "not applicable": 0}
+    assert run("check", "faulty.eds", "--json").json["counts"] == {
+        "passed": 0,
+        "remark": 0,
+        "failed": 1,
+        "not judged": 0,
+        "not applicable": 0,
+    }
 
 
 def test_files_that_are_none(run: Run) -> None:
@@ -187,7 +194,7 @@ def test_a_sound_device_passes_all(run: Run, world: World) -> None:
     outcome = run("check", *NODE, "--yes", "--json")
     assert outcome.status == 0
     report = outcome.json
-    assert report["counts"] == {"passed": 75, "remark": 0, "failed": 0, "not applicable": 40}
+    assert report["counts"] == {"passed": 75, "remark": 0, "failed": 0, "not judged": 0, "not applicable": 40}
     assert (report["node"], report["file"], report["left_out"], report["not_run"]) == (5, SAMPLE, STORING, 0)
     assert numbers_in(outcome) == [case.number for case in CASES if case.number not in STORING]
     assert 10 < sum(each["seconds"] for each in report["cases"]) < 100
@@ -208,7 +215,7 @@ def test_a_device_that_is_another_than_its_file_says(run: Run, world: World) -> 
     outcome = run("check", *NODE[:-1], "other.eds", "--yes", *cases("2.1", "2.3", "4.2"))
     assert outcome.status == ExitCode.DIFFERENT
     assert "read expedited, is 91 01 07 00, not 92 01 07 00" in outcome.out
-    assert "1 passed, 2 failed, 0 not applicable (2.1, 4.2)" in outcome.err
+    assert "1 passed, 2 failed (2.1, 4.2), 0 not applicable" in outcome.err
     assert "eds lint" not in outcome.err
 
 
@@ -309,6 +316,24 @@ def test_junit(run: Run, world: World) -> None:
     assert [each.get("name", "").split()[0] for each in other.findall("testcase")] == [f"8.{n}" for n in range(1, 11)]
     assert float(transition.get("time", "0")) > 1
     assert sdo.find("properties/property").get("value") == "other.eds"  # type: ignore[union-attr]
+
+
+def test_a_case_that_another_master_disturbs_is_not_judged_and_the_check_does_not_pass(run: Run, world: World) -> None:
+    async def start_all_nodes() -> None:
+        async with await open_transport(DEMO_LOCATOR) as other:
+            while True:
+                await trio.sleep(0.037)
+                await other.send(Frame.parse("000#0100"))
+
+    world.task = start_all_nodes
+    outcome = run("check", *NODE, "--yes", "--junit", "report.xml", *cases("10.1"))
+    assert outcome.status == ExitCode.DIFFERENT
+    assert "0 passed, 0 failed, 1 not judged (10.1), 0 not applicable" in outcome.err
+    root = ElementTree.parse("report.xml").getroot()
+    assert (root.get("failures"), root.get("errors")) == ("0", "1")
+    error = root.find("testsuite/testcase/error")
+    assert error is not None
+    assert "another master is on the bus and sent 000#0100" in error.get("message", "")
 
 
 def test_a_report_that_cannot_be_written_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

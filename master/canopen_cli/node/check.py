@@ -70,7 +70,7 @@ def check(
     A case fails if the node does what the standard forbids. Points that the standard leaves open, or that CiA's own conformance
     tool does not check, are remarks; --strict turns the latter into failures, and checks more.
 
-    Exit status: 0 no case failed (remarks do not count), 1 some did, 5 the node does not answer.
+    Exit status: 0 all could be judged and none failed (remarks do not count), 1 not so, 5 the node does not answer.
 
     \b
     canopen check 5 -b can0 -e drive.eds --junit report.xml --yes
@@ -101,7 +101,7 @@ def check(
     if junit:
         write_junit(junit, report)
         screen.say(f"{escape(junit)} was written")
-    return ExitCode.DIFFERENT if report.counts[Result.FAILED] else ExitCode.OK
+    return ExitCode.DIFFERENT if report.counts[Result.FAILED] or report.counts[Result.NOT_JUDGED] else ExitCode.OK
 
 
 def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Case]]:

@@ -1,8 +1,8 @@
 """The report of `canopen check`: a table for people, JSON and JUnit's XML for programs.
 
-JUnit: a test suite for each chapter of the cases, a test case for each case. A failed case is a failure; one that does not apply
-or was left out is skipped; remarks are its output. Times are those of the bus: seconds from the reset before a case to its
-verdict.
+JUnit: a test suite for each chapter of the cases, a test case for each case. A failed case is a failure; one that was not judged
+is an error; one that does not apply or was left out is skipped; remarks are its output. Times are those of the bus: seconds from
+the reset before a case to its verdict.
 """
 
 from __future__ import annotations
@@ -24,7 +24,13 @@ PACKAGE: Final = "canopen.conformance"
 """The name under which a CI server groups all test cases."""
 LEFT_OUT: Final = "it changes what the device stores (--storing)"
 
-_STYLES: Final = {Result.PASSED: "green", Result.REMARK: "yellow", Result.FAILED: "bold red", Result.NOT_APPLICABLE: "dim"}
+_STYLES: Final = {
+    Result.PASSED: "green",
+    Result.REMARK: "yellow",
+    Result.FAILED: "bold red",
+    Result.NOT_JUDGED: "bold yellow",
+    Result.NOT_APPLICABLE: "dim",
+}
 
 
 @dataclass(frozen=True)
@@ -72,10 +78,7 @@ class CheckReport:
         screen.table(columns, [_row(each) for each in self.runs])
         for each in self.runs:
             _list_offenders(screen, each)
-        failed = [each.case.number for each in self.runs if each.verdict.result is Result.FAILED]
         text = f"{escape(self.subject)}: " + ", ".join(self._counted())
-        if failed:
-            text += f" ({', '.join(failed)})"
         screen.say(f"{text}; {self.seconds:.1f} s" if self.node_id is not None else text)
         if self.left_out:
             numbers = ", ".join(case.number for case in self.left_out)
@@ -86,10 +89,13 @@ class CheckReport:
     def _counted(self) -> Iterator[str]:
         for result in Result:
             count = self.counts[result]
-            if result is not Result.REMARK:
+            if result is Result.REMARK:
+                if count:
+                    yield counted(count, "remark")
+            elif result in (Result.FAILED, Result.NOT_JUDGED) and count:
+                yield f"{count} {result} ({', '.join(each.case.number for each in self.runs if each.verdict.result is result)})"
+            elif result is not Result.NOT_JUDGED:
                 yield f"{count} {result}"
-            elif count:
-                yield counted(count, "remark")
 
     def _as_json(self) -> dict[str, Any]:
         return {
@@ -187,6 +193,8 @@ def _test_case(chapter: str, case: Case, each: CaseRun | None) -> ElementTree.El
     if verdict.result is Result.FAILED:
         failure = ElementTree.SubElement(element, "failure", {"message": reason, "type": "Violation"})
         failure.text = "\n".join(map(clean, verdict.failures))
+    elif verdict.result is Result.NOT_JUDGED:
+        ElementTree.SubElement(element, "error", {"message": reason, "type": "NotJudged"})
     elif verdict.result is Result.NOT_APPLICABLE:
         ElementTree.SubElement(element, "skipped", {"message": reason})
     text = "\n".join(seen)
@@ -197,7 +205,6 @@ def _test_case(chapter: str, case: Case, each: CaseRun | None) -> ElementTree.El
 
 def _count(element: ElementTree.Element, cases: Sequence[ElementTree.Element]) -> None:
     element.set("tests", str(len(cases)))
-    element.set("failures", str(sum(1 for case in cases if case.find("failure") is not None)))
-    element.set("errors", "0")
-    element.set("skipped", str(sum(1 for case in cases if case.find("skipped") is not None)))
+    for attribute, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+        element.set(attribute, str(sum(1 for case in cases if case.find(tag) is not None)))
     element.set("time", f"{sum(float(case.get('time', '0')) for case in cases):.3f}")
