@@ -12,10 +12,10 @@ TPDO may carry the object, `rww` that an RPDO may. If subindex 0 of a record has
 supported". A device may have eight axes; each one has the CiA 402 objects 0x800 above those of the axis before.
 
 Sources: CiA 301 v4.2.0, 7.5.2. CiA 302-2 and 302-3 v4.1.0: boot-up, configuration and program download, as Lely core has them.
-CiA 402: a
-majority of seven drives' dictionaries and CiA's own sample. They differ in two objects: 6060 is `wo` in the sample and readable
-in every drive; 60B2 has 32 bits in one drive and 16, like all torques, in the others. 60D5 to 60D8, 60E3 and 60E4 are of the
-newer edition, as two makers have them. Left out: other objects that only newer profile versions have, and the rest of CiA 302.
+CiA 402: a majority of seven drives' dictionaries and CiA's own sample. They differ in two objects: 6060 is `wo` in the sample and
+readable in every drive; 60B2 has 32 bits in one drive and 16, like all torques, in the others. 60D5 to 60D8, 60E3 and 60E4 are of
+the newer edition, as two makers have them. Left out: other objects that only newer profile versions have, and the rest of CiA
+302.
 """
 
 from __future__ import annotations

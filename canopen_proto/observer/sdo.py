@@ -216,7 +216,8 @@ class SdoFollower:
         self._is_twin_told = False
 
     def _compare(self, answer: bytes) -> None:
-        """Look whether an object has the value that it has for good."""
+        """Report two devices with one node-ID, if an object whose value never changes has another one now. answer: the data of
+        the server's frame, eight bytes."""
         place = answer[1:4]
         data = expedited_data(answer) if place in _FOR_GOOD and RESPONSES[answer[0]] is SdoFrame.UPLOAD else None
         if data is None:

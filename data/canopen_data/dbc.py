@@ -243,7 +243,7 @@ class _Names:
         self._taken: set[str] = set()
 
     def take(self, name: str) -> tuple[str, bool]:
-        """Return a name for another one, and whether it was cut."""
+        """Return the name in the DBC for that of an object or a PDO, and whether it was cut."""
         whole = re.sub(r"\W", "_", name, flags=re.ASCII) or "_"
         if whole[0].isdigit() or whole in _WORDS:
             whole = f"_{whole}"

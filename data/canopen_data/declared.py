@@ -8,6 +8,8 @@ from canopen_data.describing import EDS_VERSION, describe
 from canopen_data.description import DeviceDescription, DeviceInfo, FileInfo, FileKind
 from canopen_proto.declared import DeclaredDevice
 
+__all__ = ["describe_device"]
+
 
 def describe_device(device: type[DeclaredDevice], file_info: FileInfo | None = None) -> DeviceDescription:
     """Return the description of a device. file_info: of the new file (name, author, date: the core has no clock)."""

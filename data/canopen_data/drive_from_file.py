@@ -4,8 +4,7 @@ A drive's EDS often has no defaults for values that the drive keeps in its memor
 drive that took these as 0 would have no mode and stand still. So `drive_dictionary_of` gives such objects the values of the
 simulated drive (see `drive_dictionary`). A value in the file stays, even 0: if that 0 would keep the drive from moving, the drive
 shows it and moves by its own values (fallbacks.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master believes
-that object,
-with the modes of the simulated drive for which the file has the commands.
+that object, with the modes of the simulated drive for which the file has the commands.
 
 The drive shows its state in objects with the types of CiA 402. A file with other types for these cannot have the simulated drive;
 `drive_obstacle` says why.

@@ -175,7 +175,11 @@ class _Repairs:
         return before, after
 
     def _list(self, name: str, wanted: Entries, there: dict[str, tuple[str, int, int]], line: int, old: Entries) -> None:
-        """Rewrite a list whose numbers or count are wrong, entry by entry."""
+        """Rewrite a list of objects whose numbers or count are wrong, and tell what was changed.
+
+        name: of its section. wanted: the entries as they should be, by key. there: those of the file, by key: value, line,
+        column. line: of the section, from 1. old: the entries that the new ones replace; it is changed.
+        """
         numbered = {key: value for key, (value, _, _) in there.items() if key.isdecimal()}
         named = {key: text for key, text in wanted.items() if key.isdecimal()}
         is_same = numbered.keys() == named.keys() and all(_same_number(numbered[key], named[key]) for key in named)
@@ -266,7 +270,7 @@ def _said(section: Section) -> list[tuple[str, str]]:
 
 
 def _number_of(text: str) -> int | None:
-    """Return a number in a form of CiA 306: decimal, hexadecimal with 0x, octal with 0."""
+    """Return a number in a form of CiA 306: decimal, hexadecimal with 0x, octal with 0. None if the text is no number."""
     folded = text.strip().lower()
     base = 16 if folded.startswith("0x") else 8 if folded.startswith("0") and len(folded) > 1 else 10
     try:

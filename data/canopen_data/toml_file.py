@@ -86,8 +86,8 @@ def _path(keys: str) -> Path:
 
 
 class ValueKind(NamedTuple):
-    """The values that a key takes. expected: for the error of one that does not fit. convert: makes our value of TOML's, and
-    write TOML's of ours."""
+    """The values that a key takes. expected: what fits, in words, for errors. fits: whether a value of TOML does. convert: makes
+    our value of that; write: makes TOML's value of ours."""
 
     expected: str
     fits: Callable[[Any], bool]

@@ -224,9 +224,8 @@ def commissioned_machine(
     """Return a machine with a joint as it was commissioned.
 
     machine: None for a new one, with a chain of this joint; bus is a locator then, else the name of a bus of the machine. name:
-    what is asked for; the joint's is `commissioned_name`. file: of the
-    drive, if the machine names none. master_id: the node-ID of the master's heartbeat, which drives watch; None: as the machine
-    has it.
+    what is asked for; the joint's is `commissioned_name`. file: of the drive, if the machine names none. master_id: the node-ID
+    of the master's heartbeat, which drives watch; None: as the machine has it.
     """
     if machine is None:
         machine = machine_of_chains([ChainDescription(name, (JointDescription(name, bus, node_id),))])

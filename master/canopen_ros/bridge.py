@@ -65,7 +65,8 @@ class Bridge:
         *,
         wall: Callable[[], int] = time.time_ns,
     ) -> None:
-        """master: an open one of this machine. nursery: inside its block; the tasks of topics run there. wall: ns since 1970."""
+        """master: an open one of this machine. nursery: inside its block; the tasks of topics run there. parameters: of the ROS
+        node; None: the defaults for this machine. wall: returns the time for messages, ns since 1970."""
         parameters = NodeParameters(machine) if parameters is None else parameters
         self.master = master
         self.machine = machine

@@ -2,9 +2,8 @@
 
 **Points.** A point is at its time after the start. The path begins where the joints are when the goal begins, at rest or moving.
 A first point at time 0 only says where the client thinks that they are; it is refused if a joint is farther off than
-`start_tolerance`. From
-there a polynomial of degree 5 leads from point to point, through every position exactly: through velocities and accelerations if
-the points have them, else those of the smoothest curve. The last point is at rest.
+`start_tolerance`. From there a polynomial of degree 5 leads from point to point, through every position exactly: through
+velocities and accelerations if the points have them, else those of the smoothest curve. The last point is at rest.
 
 **Joints** are found by their names, in any order. Joints of the chain that are not in the goal stay where they are; a
 goal without a joint that moves at present is refused.

@@ -277,7 +277,10 @@ class ProgramWorld(World, trio.abc.Clock):
             return 0.0
 
     def _wait_for(self, names: list[str]) -> float:
-        """Let threads work; the world's time stands still."""
+        """Give threads of the program time to work, while the world's time stands still. names: of the threads, for the error.
+
+        Returns the seconds of real time that the loop has to wait. Raises once they have worked for WORKING.
+        """
         self._left_working -= _LOOK
         if self._left_working > 0:
             return _LOOK

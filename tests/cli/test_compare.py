@@ -46,6 +46,16 @@ def test_what_differs_between_a_device_and_a_file(run: Run, world: Lasting) -> N
     assert rows[0]["role"] == "communication"
 
 
+def test_defaults_that_a_file_with_settings_leaves_out_are_told(run: Run, world: Lasting) -> None:
+    text = Path("device.eds").read_text()
+    first = text.index("DefaultValue=", text.index("[2003]"))
+    Path("mixed.eds").write_text(text[:first] + "ParameterValue=" + text[first + len("DefaultValue=") :])  # some makers do so
+    outcome = run("compare", "5", "mixed.eds", "-b", "demo")
+    assert "of mixed.eds: it configures 1 value, and these were compared. Try: --defaults" in outcome.err
+    assert "not compared" not in run("compare", "5", "mixed.eds", "--defaults", "-b", "demo").err
+    assert "not compared" not in run("compare", "5", "device.eds", "-b", "demo").err  # its values are its defaults
+
+
 def test_what_is_near_enough_is_equal(run: Run, world: Lasting) -> None:
     change(run, world)
 

@@ -102,6 +102,14 @@ def test_a_command_that_waits_for_ctrl_c_ends(run: Run) -> None:
     assert outcome.json[-1]["ms"] >= 1000
 
 
+def test_a_rehearsal_does_not_say_that_the_drive_has_power(run: Run) -> None:
+    outcome = run("drive", "3", "enable", "--for", "1s", "--dry-run", *DEMO)
+    assert outcome.status == 0
+    assert "is enabled" not in outcome.err
+    assert "it gets no more power" not in outcome.err
+    assert "nothing of this was sent" in outcome.err
+
+
 def test_a_drive_that_refuses_is_seen_in_the_rehearsal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     prepare(monkeypatch, in_fault)
     outcome = run("drive", "3", "move", "2000", "--dry-run", *DEMO)

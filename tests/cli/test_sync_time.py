@@ -39,6 +39,12 @@ def test_so_many_each_after_the_period(run: Run) -> None:
     assert [round((time - times[0]) / 1e6) for time in times] == [0, 20, 40, 60, 80]
 
 
+def test_for_a_time(run: Run) -> None:
+    assert run("sync", *TRACED, "--yes", "--period", "20ms", "--for", "100ms", "--json").json == {"sent": 5, "period": 0.02}
+    assert run("sync", *TRACED, "--yes", "--period", "20ms", "--for", "1s", "--count", "2", "--json").json["sent"] == 2
+    assert "--for needs a --period" in run("sync", "-b", "demo", "--for", "1s", "--yes").err
+
+
 def test_a_sync_has_to_be_confirmed_since_drives_act_on_it(run: Run) -> None:
     outcome = run("sync", "-b", "demo")
     assert outcome.status == ExitCode.USAGE

@@ -28,7 +28,7 @@ from textual.widgets import Input
 from canopen_cli.shared.marks import cells_of
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings
-from canopen_cli.tui.app import MachineView
+from canopen_cli.tui.app import HELP, MachineView
 from canopen_cli.tui.guest import run_beside
 from canopen_cli.tui.machine_watch import MOST_LINES, MachineWatch
 from canopen_cli.tui.questions import Ask
@@ -104,6 +104,16 @@ def picture(view: Any) -> list[str]:
     height = view.size.height
     lines = view.screen._compositor.render_strips()
     return ["".join(segment.text for segment in strip).rstrip() for strip in lines][:height]
+
+
+def test_the_page_of_keys_breaks_no_line() -> None:
+    async def look(pilot: Pilot[None], held: Held) -> None:
+        await pilot.press("question_mark")
+        await until(pilot, lambda: any("This is no emergency stop." in line for line in picture(pilot.app)))
+        shown = "\n".join(picture(pilot.app))
+        assert [line for line in HELP.splitlines() if line not in shown] == []
+
+    viewed(look, size=(100, 30))
 
 
 def shows(view: Any, *texts: str) -> bool:

@@ -181,11 +181,12 @@ def until_all_answered(lss: Any) -> float:
 
 
 @pytest.fixture(scope="module")
-def values() -> tuple[list[Any], list[Any]]:
+def values(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], list[Any]]:
     """What each row found, with `canopen` and here."""
     channel = new_channel()
     served = Served(channel)
     with pytest.MonkeyPatch.context() as patch, served.running():
+        patch.chdir(tmp_path_factory.mktemp("files"))
         patch.setattr(canopen, "BaseNode402", PatientNode402, raising=False)
         patch.setattr(canopen.lss.LssMaster, "RESPONSE_TIMEOUT", property(until_all_answered))
         theirs = run_theirs(channel)
@@ -235,6 +236,7 @@ def test_a_row_without_async_does_the_same(values_without_async: tuple[list[Any]
 def test_the_table_has_each_part_of_their_interface() -> None:
     theirs = "\n".join(row.theirs for row in ROWS)
     parts = "Network() scanner add_node sdo[ nmt. tpdo rpdo emcy sync time.transmit lss 402 LocalNode import_od disconnect"
+    parts += " .phys .bits guarding .log export_od subscribe"
     assert [part for part in parts.split() if part not in theirs] == []
     assert len(ROWS) > 35
     assert len(BLOCKING) > 12

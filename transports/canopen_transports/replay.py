@@ -38,8 +38,7 @@ class ReplayTransport(AsyncResource):
     """The only member of a recorded bus. speed: how many times as fast; MAX: without waiting; STEP: by `step` only.
 
     refuses: whether `send` raises. swallowed: how many frames `send` took. Must be made where trio or asyncio runs; the replay
-    begins
-    then.
+    begins then.
     """
 
     def __init__(self, locator: str, path: Path, speed: float = 1.0, *, refuses: bool = False) -> None:

@@ -103,9 +103,10 @@ def _home_offset(axis: Axis, home_position: float) -> int:
 
 
 def check_home_position(axis: Axis) -> Procedure[None]:
-    """Raise HomingError if a homed drive counts its home offset with the other sign than the settings say.
+    """Read the position of a drive that has just homed. Raises HomingError if it shows that the drive takes its home offset with
+    the other sign than the settings say.
 
-    The drive stands near the home point, at most as far from it as it needed to stop.
+    Call it before the drive moves again: it has to stand near the home point, no further away than its way to stop.
     """
     if not axis.settings.home_position:
         return

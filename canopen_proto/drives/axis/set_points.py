@@ -120,7 +120,7 @@ class RecordSetPoint(SetPoint):
 
     @property
     def reach(self) -> tuple[int, int] | None:
-        """Those of the position in it (0x60C1:01); None for a record that has it elsewhere."""
+        """The lowest and the highest position, counts, that 0x60C1:01 can hold; None for a record without this object."""
         found = [each for each in self._variables if each.mux == objects.INTERPOLATION_SET_POINT]
         return range_of(found[0].data_type) if found else None
 

@@ -1,8 +1,8 @@
 """`SpeedChange`: a speed goes to another one as soon as its limits of acceleration and jerk allow.
 
 Three phases: the acceleration grows at the full jerk, is held at its peak, and falls to 0. Before them the speed may be held for
-some time. Any speed and acceleration may be its
-start, so a change under way is replaced by a new one from its present state, without a jump of speed or acceleration.
+some time. Any speed and acceleration may be its start, so a change under way is replaced by a new one from its present state,
+without a jump of speed or acceleration.
 """
 
 from __future__ import annotations

@@ -140,10 +140,9 @@ class BootReport:
 
     outcomes: by node-ID, as far as there are. missing: the mandatory nodes that are not ready. running: the nodes that were
     started, or left running, and are still as they were then, as far as is known. idle: those that were, and show that they do
-    not run. gone: those that were ready, and are lost or
-    have booted again. unsupervised: those that are ready, and whose loss nobody would notice: they send no heartbeat, and are not
-    guarded. left_running: those that have failed, were not reset since they are kept alive, and were last heard as Operational.
-    elapsed: ns.
+    not run. gone: those that were ready, and are lost or have booted again. unsupervised: those that are ready, and whose loss
+    nobody would notice: they send no heartbeat, and are not guarded. left_running: those that have failed, were not reset since
+    they are kept alive, and were last heard as Operational. elapsed: ns.
     """
 
     outcomes: Mapping[int, BootOutcome]
@@ -565,7 +564,8 @@ class NetworkBoot:
         return True
 
     def _on_boot_up(self, member: BootingNode) -> Procedure[None]:
-        """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""
+        """Check, configure and start a node whose boot-up frame has come. If a start command crossed that frame on the bus, the
+        node may run without its settings: it is reset before."""
         now = yield from current_time()
         if member.node.booted_at - member.started_at < NMT_REACTION_TIME:
             yield from self._reset_node(NmtCommand.RESET_COMMUNICATION, member.node.node_id)

@@ -9,7 +9,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.dry_run import run_or_show
-from canopen_cli.shared.options import Duration, Settings, command, commanding
+from canopen_cli.shared.options import Duration, Settings, command, commanding, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
@@ -27,11 +27,14 @@ SHOWN: Final = 3
 
 
 @command()
-@click.option("--period", type=Duration(low=100 * MICROSECOND), help="One each so often, until Ctrl-C or --count: 10ms, 1s.")
+@click.option(
+    "--period", type=Duration(low=100 * MICROSECOND), help="One each so often: 10ms, 1s. Until Ctrl-C, --for or --count."
+)
 @click.option("--count", type=click.IntRange(min=1), help="How many.  [default: 1, or no end with --period]")
+@lasting(low=0, low_open=True)
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @commanding
-def sync(settings: Settings, screen: Screen, period: Time | None, count: int | None, yes: bool) -> None:
+def sync(settings: Settings, screen: Screen, period: Time | None, count: int | None, seconds: float, yes: bool) -> None:
     """Send SYNC: all nodes take and send their synchronous PDOs. A DRIVE THAT WAITS FOR SET-POINTS ACTS ON THEM.
 
     Nobody else may send SYNC on this bus meanwhile.
@@ -39,9 +42,15 @@ def sync(settings: Settings, screen: Screen, period: Time | None, count: int | N
     \b
     canopen sync -b demo --yes
     canopen sync --period 20ms --count 100 -b demo --yes
+    canopen sync --period 20ms --for 2s -b demo --yes
     """
     if period is None and count is not None and count > 1:
         raise usage("CO001", "--count needs a --period", tries=(f"canopen sync --period 10ms --count {count}",))
+    if seconds < math.inf:
+        if period is None:
+            raise usage("CO001", "--for needs a --period", tries=(f"canopen sync --period 10ms --for {seconds:g}s",))
+        fit = math.ceil(seconds * SECOND / period)  # the first one goes at once
+        count = fit if count is None else min(count, fit)
     confirm(screen, "send SYNC: drives act on the set-points that they have", yes, needed=not settings.dry_run)
     if settings.dry_run:
         shown = min(count or SHOWN, SHOWN)

@@ -43,11 +43,15 @@ def enable(settings: Settings, screen: Screen, seconds: float) -> None:
 
     def held(axis: Axis) -> Procedure[None]:
         yield from procedures.enable(axis)
-        screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
+        tell(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
         end = NEVER if seconds == math.inf else (yield from current_time()) + round(seconds * SECOND)
         watch: DriveWait[bool] = DriveWait(axis, "the end of its time", stays=State.OPERATION_ENABLED)
         yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
-        screen.say(f"{seconds:g} s are over: it gets no more power")
+        tell(f"{seconds:g} s are over: it gets no more power")
+
+    def tell(what: str) -> None:
+        if not settings.dry_run:  # then a simulated drive is enabled, and not the one that is named
+            screen.say(what)
 
     def story(confirmed: bool) -> list[str]:
         return ["the drive has no power any more" if confirmed else "the drive was told to have no power any more"]

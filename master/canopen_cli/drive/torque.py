@@ -89,7 +89,8 @@ def torque(
 
 
 def _whole(axis: Axis, unit: str, rated: float | None) -> float:
-    """Return how much of the unit is the rated torque. Raises a CommandError if the drive does not tell."""
+    """Return the rated torque in the unit. rated: in N m; None: the drive does not tell it, which raises a CommandError where the
+    unit needs it."""
     if unit == PER_MILLE:
         return 1000.0
     if rated is None:

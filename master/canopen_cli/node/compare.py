@@ -56,12 +56,14 @@ class ComparedObject:
 
 @dataclass(frozen=True)
 class Side:
-    """One side of the comparison. missing: objects that should have a value and could not be read."""
+    """One side of the comparison. missing: objects that should have a value and could not be read. defaults_left_out: how many
+    objects have a default in the file that is not among the values."""
 
     name: str
     dictionary: ObjectDictionary
     values: Mapping[Mux, Value]
     missing: frozenset[Mux] = frozenset()
+    defaults_left_out: int = 0
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class ToleranceKind(TextKind):
 @click.option("--only", type=click.Choice(["changed", "missing"]), help="Only what both have, or only what one of them lacks.")
 @click.option("--tolerance", type=ToleranceKind(), default="0", help="Numbers this far apart are equal: 5, 0.1, 1%.")
 @click.option("--process-data", is_flag=True, help="Also what changes by itself: actual values, set-points, error states.")
-@click.option("--defaults", is_flag=True, help="Of a DCF also the defaults, where it configures nothing.")
+@click.option("--defaults", is_flag=True, help="Also the defaults of objects that a file does not configure.")
 @click.option(
     "--id", "node_id", metavar="N", type=NodeId(), help="For defaults that depend on the node-ID, of files without one."
 )
@@ -116,8 +118,9 @@ def compare(
 ) -> int:
     """Compare the values of a node, or of a file, with those of another file.
 
-    The values of a DCF are those that it configures; of an EDS, its defaults. Exit status: 0 the same, 1 not the same, 7 the same
-    except for what could not be read, in the node or in a file.
+    The values of a file are those that it configures (ParameterValue, actualValue), as a DCF does. Of one that configures none,
+    as an EDS is, they are its defaults. Exit status: 0 the same, 1 not the same, 7 the same except for what could not be read, in
+    the node or in a file.
 
     \b
     canopen compare 5 before.dcf
@@ -155,6 +158,12 @@ def compare(
             tell_unread(screen, found)
         for each in lost[:MAX_NAMED]:
             screen.say(f"[yellow]not compared:[/] {escape(str(each))}")
+        for side in (first, second):
+            if side.defaults_left_out:
+                screen.say(
+                    f"[yellow]not compared:[/] {counted(side.defaults_left_out, 'default')} of {escape(side.name)}: "
+                    f"it configures {counted(len(side.values), 'value')}, and these were compared. Try: --defaults"
+                )
         screen.say(f"{counted(len(rows), 'difference')} between {escape(first.name)} and {escape(second.name)}")
     if rows:
         return ExitCode.DIFFERENT
@@ -195,9 +204,10 @@ def _side(path: str, description: DeviceDescription, whose: int | None, defaults
         if depends is not None:
             raise usage("CO120", f"{path} names no node-ID, and {depends.label} depends on that", tries=("--id 5",))
     values = settings_of(dictionary, node_id or 0)
+    with_defaults = settings_of(dictionary, node_id or 0, defaults=True)
     if defaults or not values:
-        values = settings_of(dictionary, node_id or 0, defaults=True)
-    return Side(path, dictionary, values)
+        values = with_defaults
+    return Side(path, dictionary, values, defaults_left_out=len(with_defaults) - len(values))
 
 
 def _cells(row: ComparedObject) -> tuple[str, ...]:

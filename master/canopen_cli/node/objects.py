@@ -35,6 +35,7 @@ from canopen_cli.shared.values import (
 )
 from canopen_master.errors import SdoRefusedError
 from canopen_master.node import Node
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
 
@@ -278,6 +279,24 @@ def _check_writable(variable: Variable) -> None:
         raise usage("CO303", f"{variable.label} is {variable.access}: it cannot be written", seen="nothing was sent")
 
 
+def _write_only(variable: Variable) -> CommandError:
+    """Return the error of --verify for an object that cannot be read back."""
+    label, tries = variable.label, ("the same without --verify",)
+    return usage("CO303", f"{label} is write-only: it cannot be read back", seen="nothing was written", tries=tries)
+
+
+async def _value_before(way: ObjectWay, variable: Variable) -> ObjectReading | None:
+    """Read an object before it is written. None if it is write-only, by the dictionary or by the device itself."""
+    if not variable.access.readable:
+        return None
+    try:
+        return await way.read(variable)
+    except SdoRefusedError as error:
+        if error.abort_code != AbortCode.WRITE_ONLY:
+            raise
+        return None
+
+
 def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow: str, **more: Any) -> None:
     if settings.json:
         screen.json({**transfer.as_json(), **more})
@@ -338,8 +357,9 @@ async def _write_file(settings: Settings, screen: Screen, request: AccessRequest
         node = session.node(request.node_id)
         variable = find_object(node.dictionary, key, BYTES)
         _check_writable(variable)
-        verify = request.verify and variable.access.readable
-        return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)
+        if request.verify and not variable.access.readable:
+            raise _write_only(variable)
+        return await write_from_file(screen, node, variable, path, block_of(variable, request.block), request.verify)
 
 
 async def _write(
@@ -353,10 +373,12 @@ async def _write(
         _check_writable(variable)
         variable.check_limits(value)
         variable.encode(value)  # raises before anything is sent
-        before = await way.read(variable) if variable.access.readable else None
+        before = await _value_before(way, variable)
+        if request.verify and before is None:
+            raise _write_only(variable)
         await way.write(variable, value)
         after = ObjectReading(node_id, variable, value, _constants(dictionary, variable, value))
-        if request.verify and variable.access.readable:
+        if request.verify:
             shown = await way.read(variable)
             if shown.value != value:
                 raise not_as_written(node_id, variable, _shown(after), _shown(shown))

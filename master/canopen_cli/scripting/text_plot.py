@@ -85,8 +85,8 @@ class TextPlot:
         self._node_of = node_of
 
     async def plot(self, *objects: str, seconds: float = SECONDS) -> None:
-        """Draw objects: "5:velocity_actual_value"; without a node, of `node`. Raises a CommandError, and what `Node.read`
-        raises."""
+        """Read objects again and again, and draw their values. objects: 1 to MOST, such as "5:velocity_actual_value"; without a
+        node, of `node`. seconds: how long, at most 3600. Raises a CommandError, and what `Node.read` raises."""
         if not 0 < len(objects) <= MOST or not 0 < seconds <= 3600:
             raise usage(
                 "CO001", f"plot takes 1 to {MOST} objects, and up to an hour", tries=("plot 5:velocity_actual_value 10s",)

@@ -51,6 +51,43 @@ SAME: Final = {
     "simulate": ("sim",),
     "new": ("init", "from-chains"),
     "create": ("new", "init", "from-chains"),
+    "halt": ("stop", "drive stop", "drive disable", "nmt stop"),
+    "estop": ("stop", "drive stop", "drive disable", "nmt stop"),
+    "quickstop": ("stop", "drive stop"),
+    "power": ("enable", "disable", "drive enable", "drive disable"),
+    "fault": ("drive state", "drive fault-reset", "emcy history"),
+    "statusword": ("state", "drive state"),
+    "position": ("drive move", "drive state"),
+    "speed": ("velocity", "drive velocity"),
+    "homing": ("home",),
+    "trajectory": ("move",),
+    "path": ("move",),
+    "emergency": ("emcy watch", "emcy history"),
+    "heartbeat": ("monitor --service heartbeat", "top"),
+    "ping": ("info", "scan"),
+    "connect": ("doctor",),
+    "interfaces": ("doctor",),
+    "adapters": ("doctor",),
+    "config": ("doctor -v",),
+    "configure": ("net boot", "restore"),
+    "save": ("store", "backup"),
+    "eeprom": ("store",),
+    "factory": ("reset-defaults",),
+    "id": ("set-id", "lss set-id"),
+    "node-id": ("set-id", "lss set-id"),
+    "gui": ("tui", "serve web"),
+    "viewer": ("tui", "serve web"),
+    "metrics": ("serve web",),
+    "prometheus": ("serve web",),
+    "graph": ("plot", "log plot"),
+    "dbc": ("to-dbc", "eds to-dbc"),
+    "test": ("check",),
+    "conformance": ("check",),
+    "emulate": ("sim",),
+    "simulator": ("sim",),
+    "script": ("run",),
+    "python": ("shell", "run"),
+    "repl": ("shell",),
 }
 """What is called otherwise elsewhere, and the commands here that do it, in whichever group they are."""
 NEAR: Final = 0.7
@@ -76,6 +113,8 @@ class NamingGroup(click.Group):
         root = ctx.find_root()
         if isinstance(root.command, click.Group) and args[0] in root.command.list_commands(root):
             lines.append(f"{root.command_path} {args[0]}")
+        elif not lines and root is not ctx and isinstance(root.command, NamingGroup):
+            lines.extend(f"{root.command_path} {word}" for word in root.command.meant_by(root, args[0]))
         return [*lines, f"{path} --help"]
 
     def meant_by(self, ctx: click.Context, word: str) -> list[str]:

@@ -47,15 +47,16 @@ Up, Down ...  the cursor; also PageUp, PageDown, Home, End
 Enter         nodes: its objects; objects: read
 /             search, filter; Enter or Esc ends it
 [ ]           objects: of the node before, of the next one
-f             ask all node-IDs who is there (reads 0x1000), and names
+f             ask all node-IDs who is there, and for their names
 e             write an object: asks for its value, then for "yes"
 n             NMT command to a node: asks for it, then for "yes"
 w             watch an object live, or no longer
 p             hold the traffic; Up and Down scroll it
 !             traffic: only what is wrong
 a             emergencies alone, or all events
-h, H          halt the drive at the cursor; halt all: at once, without
-              a question, without --allow. F12: also while you type
+h, H          halt the drive at the cursor; halt all drives
+              at once, without a question, without --allow
+F12           halt all drives, also while you type
 r             read again
 q, Ctrl-C     end
 

@@ -39,7 +39,7 @@ class TerminalFile:
 
 @contextmanager
 def terminal_file() -> Iterator[None]:
-    """Have the process's own stderr be a TerminalFile while the block runs: there the library writes to."""
+    """Make the process's own stderr a TerminalFile while the block runs: the library writes there."""
     stream = sys.__stderr__
     if stream is None:
         yield

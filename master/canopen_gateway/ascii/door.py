@@ -323,7 +323,7 @@ async def _unix_listener(path: Path) -> trio.SocketListener:
 
 
 async def _remove_left_over(path: Path) -> None:
-    """Remove a socket that a program has left behind which is gone. Anything else is left alone, and in the way."""
+    """Remove the socket of a program that is gone. Anything else at this path stays, and to bind there then fails."""
     try:
         if not stat.S_ISSOCK(path.stat().st_mode):
             return

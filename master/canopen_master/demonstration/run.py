@@ -151,7 +151,8 @@ class PlannedMoveBegun:
 
 @dataclass(frozen=True)
 class PlannedMoveDone:
-    """They are back. was_cut: they were stopped on the path, since this computer is too busy."""
+    """The planned move is over: the joints are back. seconds: the time that it took. was_cut: the joints were stopped on the
+    path, because this computer was too busy."""
 
     seconds: float
     was_cut: bool

@@ -240,9 +240,9 @@ def _in_time(procedure: Procedure[object]) -> Procedure[None]:
 
 
 def our_lateness(device: Device, beside: str = "") -> Reason | None:
-    """Return the reason for a drive that does not follow because we were late, with its SYNC or our heartbeat; None: in time.
+    """Return the reason for a drive that does not follow because our SYNC or our heartbeat was late. None if both were in time.
 
-    beside: another likely reason.
+    beside: another likely reason, for people; "" for none.
     """
     late, missed_at, now = device.following.late_sync, device.heartbeat_missed_at, device.node.now()
     busy, longer = "this program, or its computer, was busy", "a longer cycle"

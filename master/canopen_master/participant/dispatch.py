@@ -110,8 +110,9 @@ class Waiter:
 
 
 class Watcher:
-    """A callback for events of some kinds, of one bus and one node, or of all (None, 0). queue: takes several in a row at once,
-    and calls nobody; None: each is handed over. is_on: until `unwatch`."""
+    """A callback for events. kinds: of these classes. bus, node_id: of this bus and node; None, 0: of all. callback: is called
+    with each event. queue: if given, takes events in its place, several at once that came in a row; it must call nobody. is_on:
+    False after `unwatch`."""
 
     __slots__ = ("bus", "callback", "is_on", "kinds", "node_id", "queue")
 

@@ -57,8 +57,7 @@ def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Cho
     """Return the machine that these files describe together: parts of one configuration, as they are loaded together.
 
     folder: where the machine file will stand; paths in it are relative to that. Raises DataError for a file that cannot be read,
-    DictionaryError for one that is no YAML,
-    PackageMissingError without `ruamel.yaml`.
+    DictionaryError for one that is no YAML, PackageMissingError without `ruamel.yaml`.
     """
     whole: dict[str, Value] = {}
     for path in paths:

@@ -59,10 +59,9 @@ class Site:
     """How a transport is tried.
 
     open_bus: makes a fresh bus. unopenable: openings that must fail, each for a different reason; see `openings`. virtual_time:
-    the transport needs neither threads nor the outside world, so the cases run on trio's MockClock (asyncio has no
-    such clock). burst: how many frames are
-    sent while nobody takes any; choose fewer if the transport cannot count its losses. stream: how many are sent while they are
-    taken.
+    the transport needs neither threads nor the outside world, so the cases run on trio's MockClock (asyncio has no such clock).
+    burst: how many frames are sent while nobody takes any; choose fewer if the transport cannot count its losses. stream: how
+    many are sent while they are taken.
     """
 
     open_bus: Callable[[], AbstractAsyncContextManager[SiteBus]]

@@ -105,7 +105,7 @@ class TaskStatus(Protocol[T_contra]):
 
 class _Ignored(Generic[T]):
     def started(self, value: T | None = None) -> None:
-        """Nobody waits for it."""
+        """Do nothing: nobody waits for the value."""
 
 
 TASK_STATUS_IGNORED: Final[Any] = _Ignored()

@@ -11,7 +11,8 @@ from canopen_transports.wire.member import WaitingFrame, WireMember
 
 
 class Transmission:
-    """A frame on the wire. outcome: None if it will succeed. ends: when the outcome shows."""
+    """A frame on the wire. begun: ns. ends: when the outcome shows, ns. outcome: the fault that ends it; None if it will succeed.
+    victim: the member that the fault is about. senders: those that send it at the same time, usually one."""
 
     __slots__ = ("begun", "ends", "outcome", "senders", "victim", "waiting")
 

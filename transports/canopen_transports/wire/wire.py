@@ -244,7 +244,7 @@ class Wire:
         return segment.begins + self.time_of(self._bits_of(head.frame) - INTERMISSION)
 
     def _bits_of(self, frame: Frame) -> int:
-        """Return the length of a frame; the last one is remembered, as a frame is first foreseen and then sent."""
+        """Return the length of a frame in bits. The last one is remembered: each is asked for twice."""
         if frame is not self._measured[0]:
             self._measured = frame, frame_bits(frame)
         return self._measured[1]
