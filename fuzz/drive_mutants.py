@@ -22,6 +22,7 @@ RUN_AT: Final = ("tests/drives/test_run_at.py",)
 SEQUENCE: Final = ("tests/drives/test_target_sequence.py",)
 SLOW: Final = ("tests/drives/test_slow_position.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
+OTHERS: Final = ("tests/drives/test_whoever_else_speaks.py",)
 
 _STATE: Final = "drives/axis/state.py"
 _HALTING: Final = "drives/axis/halting.py"
@@ -145,6 +146,46 @@ DRIVE_MUTANTS: Final = tuple(
             "if False:",
             "a command that waits behind another SDO transfer goes out behind the stop, and starts the motion",
             EXCLUSIVE,
+        ),
+        (
+            "halt_given_up",
+            _HALTING,
+            "        left -= 1\n",
+            "        return\n",
+            "a halt that another master has taken back is told as done, and the drive runs",
+            OTHERS,
+        ),
+        (
+            "coasting_counts_as_standing",
+            _HALTING,
+            "            return not has_position or self._is_at_one_place() or None\n        if self._minds",
+            "            return True\n        if self._minds",
+            "a drive that loses its power in a halt is told as standing while it coasts",
+            OTHERS,
+        ),
+        (
+            "boot_forgotten",
+            _HALTING,
+            "        if is_loss(failed):\n",
+            "        if False:\n",
+            "a run whose drive was reset while it braked is told as done",
+            OTHERS,
+        ),
+        (
+            "enabled_against_the_other",
+            "drives/axis/view.py",
+            "    return word.time >= axis.motion_began and not enables_operation(word.value)\n",
+            "    return False\n",
+            "a motion enables a drive again that another master has just disabled",
+            OTHERS,
+        ),
+        (
+            "halted_against_the_other",
+            _HALTING,
+            "    return word is not None and word.time >= heard_at - FRESH and not enables_operation(word.value)\n",
+            "    return False\n",
+            "a halt enables a drive again that another master has just disabled",
+            OTHERS,
         ),
         (
             "led_back",

@@ -2,13 +2,16 @@
 
 The drive's speed and ramp decide how long that takes. So a halt waits step by step, as long as the drive is slower at the end of
 a step than at its beginning. A step takes `reaction_time` plus `halt_time`. A drive that does not get slower is reported after
-one step.
+one step. A drive that loses its power during a halt may coast: it stands once its position stays.
+
+Another master may take the halt back, by a controlword without bit 8. Then the halt is sent again, OVERRULED times at most.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -16,8 +19,9 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
 from canopen_proto.drives.axis.exclusive_motion import stops
-from canopen_proto.drives.axis.failures import TakenOverError, as_drive_errors, name_of
+from canopen_proto.drives.axis.failures import DriveTimeoutError, TakenOverError, as_drive_errors, is_loss, name_of
 from canopen_proto.drives.axis.units import read_number
+from canopen_proto.drives.axis.view import last_foreign, view_of
 from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -70,6 +74,11 @@ _WITHOUT_SPEED: Final = (Mode.TORQUE, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
 _CAN_BE_ENABLED: Final = (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
 """States from which one controlword leads to Operation enabled (from the first: in drives that take two steps at once)."""
 
+OVERRULED: Final = 3
+"""How often a halt that another master takes back is sent again. Whoever goes on wins, and the error names it."""
+
+_WITH_POWER: Final = "standstill after a halt"
+_WITHOUT_POWER: Final = "standstill without power (it coasts)"
 _SLOWER: Final = 0.02
 """A drive counts as slower if it has lost more than this share of its speed in a step."""
 _OF_ITS_RAMP: Final = 0.25
@@ -102,6 +111,7 @@ def halt(axis: Axis) -> Procedure[None]:
 
 
 def _stop(axis: Axis) -> Procedure[None]:
+    may_move = axis.state in POWERED or may_be_enabled(axis)  # without power by now, it may still coast
     word = STAYS[axis.state] if axis.state in STAYS else (yield from _halt_word(axis))
     yield from command_held(axis, word)  # a SYNC may come before the drive's state is known
     is_told = yield from halt_first(axis)
@@ -111,6 +121,8 @@ def _stop(axis: Axis) -> Procedure[None]:
         if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
             yield from insist(axis, int(Command.QUICK_STOP))
         raise
+    if not is_told and _may_be_disabled(axis):
+        statusword = (yield from _statusword_soon(axis)) or statusword
     state = state_of(statusword)
     if state is State.UNKNOWN:
         state = yield from _next_state(axis)
@@ -123,7 +135,7 @@ def _stop(axis: Axis) -> Procedure[None]:
         yield from insist(axis, int(Command.QUICK_STOP))
     else:
         yield from command_held(axis, STAYS[state] if state in STAYS else (yield from _halt_word(axis)))
-        if state not in POWERED:
+        if state not in POWERED and not may_move:
             return
     try:
         yield from _wait_for_standstill(axis)
@@ -140,6 +152,8 @@ def halt_first(axis: Axis) -> Procedure[bool]:
     The first step of a halt: nothing before it can fail. Raises SdoTransferError if the drive does not confirm it.
     """
     statusword = axis.fresh_statusword((yield from current_time()))
+    if statusword is not None and _may_be_disabled(axis):
+        statusword = None
     may_be = axis.state is State.OPERATION_ENABLED or may_be_enabled(axis)
     if statusword is None and may_be:
         statusword = yield from _statusword_soon(axis)
@@ -147,6 +161,14 @@ def halt_first(axis: Axis) -> Procedure[bool]:
     if is_enabled:
         yield from insist(axis, (yield from _halt_word(axis)))
     return is_enabled
+
+
+def _may_be_disabled(axis: Axis) -> bool:
+    """Return whether another master was heard that takes the drive's power, after what the drive has shown, or just before: its
+    answer may have been under way."""
+    word = last_foreign(axis, objects.CONTROLWORD)
+    heard_at = axis.node.heard_at.get(objects.STATUSWORD, -NEVER)
+    return word is not None and word.time >= heard_at - FRESH and not enables_operation(word.value)
 
 
 def _statusword_soon(axis: Axis) -> Procedure[int | None]:
@@ -268,9 +290,11 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
     except TakenOverError:
         yield from forget()
         raise
-    except ProcedureError:
+    except ProcedureError as failed:
         yield from forget()
         yield from halt(axis)
+        if is_loss(failed):
+            raise  # it stands now, but not because it was halted
     else:
         yield from forget()
 
@@ -280,29 +304,56 @@ def coast_down(axis: Axis) -> Procedure[None]:
 
     Without a position, no power counts as standstill. Raises StepTimeoutError as `halt`, if the axis does not get slower.
     """
-    yield from _wait_for_standstill(axis, coasts=True)
+    yield from _wait_for_standstill(axis)
 
 
-def _wait_for_standstill(axis: Axis, *, coasts: bool = False) -> Procedure[None]:
-    """coasts: a drive without power may move."""
+def _wait_for_standstill(axis: Axis) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     began = yield from current_time()
     before: float | None = None
+    left = OVERRULED
     while True:
         yield from ask_for_time(timeout + SECOND)  # as long as the drive answers and slows down
-        judge = _Standstill(axis, began, coasts)
+        judge = _Standstill(axis, began, minds_others=left > 0)
         try:
-            yield from judge.watch.until(judge.judge, timeout)
-            return
-        except StepTimeoutError:
+            if (yield from judge.watch.until(judge.judge, timeout)):
+                return
+        except StepTimeoutError as failed:
             if judge.may_obey_late:
                 continue
-            if before is None:
-                before = judge.top_speed  # not the speed at the beginning: the drive may just have accelerated
-            now = yield from _speed(axis)
-            if before is None or now is None or not (yield from _has_slowed(axis, before, now)):
-                raise
-            before = now
+            word = yield from _other_word(axis)
+            if word is None or not left:
+                if before is None:
+                    before = judge.top_speed  # not the speed at the beginning: the drive may just have accelerated
+                now = yield from _speed(axis)
+                if before is not None and now is not None and (yield from _has_slowed(axis, before, now)):
+                    before = now
+                    continue
+                if word is None or not isinstance(failed, DriveTimeoutError):
+                    raise
+                view = replace(view_of(axis), controlword=word)
+                text = f"did not reach {judge.watch.goal} within {timeout / SECOND:g} s"
+                raise DriveTimeoutError(axis, text, view=view) from failed
+        left -= 1
+        try:
+            yield from insist(axis, (yield from _halt_word(axis)))
+        except SdoTransferError as failed:
+            if not failed.not_confirmed:
+                raise  # else the drive shows whether it came: the other master's frames disturb its answer
+
+
+def _other_word(axis: Axis) -> Procedure[int | None]:
+    """Return the controlword of a drive that lets it run; None if it halts it, or takes its power, or if it cannot be told."""
+    if axis.state is not State.OPERATION_ENABLED or axis.node.rpdo_of(objects.CONTROLWORD) is not None:
+        return None  # some drives do not show in 0x6040 what came by PDO
+    word = yield from read_number(axis.node, objects.CONTROLWORD)
+    return word if word is not None and _runs(word) else None
+
+
+def _runs(controlword: int) -> bool:
+    """Return whether a controlword lets an enabled drive run. Against one that takes the power no halt is sent: it comes with
+    the command to enable."""
+    return enables_operation(controlword) and not controlword & ControlBit.HALT
 
 
 class _Standstill:
@@ -314,8 +365,8 @@ class _Standstill:
     that it moves, or `reaction_time` after the halt: bit 10 may be left from before (as "target velocity reached").
     """
 
-    def __init__(self, axis: Axis, began: Time, coasts: bool) -> None:
-        """began: when the drive was told to halt. coasts: a drive without power is judged by its position."""
+    def __init__(self, axis: Axis, began: Time, *, minds_others: bool) -> None:
+        """began: when the drive was told to halt. minds_others: see `judge`."""
         reads = {
             objects.MODES_OF_OPERATION_DISPLAY: FRESH,
             objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
@@ -324,20 +375,19 @@ class _Standstill:
         if axis.mode == Mode.VELOCITY:  # frequency converters need not have a position
             reads[objects.VL_VELOCITY_ACTUAL_VALUE] = FRESH
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
-        goal = "standstill without power (it coasts)" if coasts else "standstill after a halt"
-        self.watch: DriveWait[bool] = DriveWait(axis, goal, accept_fault=True, reads=present, looks=False)
+        self.watch: DriveWait[bool] = DriveWait(axis, _WITH_POWER, accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self.may_obey_late = False  # its bits show that it stands, and it is too soon to believe them
         self._axis = axis
         self._began = began
-        self._coasts = coasts
+        self._minds_others = minds_others
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_moving = False  # as its bits showed
         self._looked_at: Time = -NEVER
         self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
 
     def judge(self, statusword: int, heard_at: Time) -> bool | None:
-        """Return True if the drive stands, None if it is not certain."""
+        """Return True if the drive stands, False if another master has taken the halt back, None if it is not certain."""
         self._look()
         self.may_obey_late = False
         state = state_of(statusword)
@@ -347,8 +397,11 @@ class _Standstill:
             objects.POSITION_ACTUAL_VALUE in self._axis.node.dictionary
             and self.watch.refusal(objects.POSITION_ACTUAL_VALUE) is None
         )
+        self.watch.goal = _WITH_POWER if state in POWERED else _WITHOUT_POWER
         if state not in POWERED:
-            return not (self._coasts and has_position) or self._is_at_one_place() or None
+            return not has_position or self._is_at_one_place() or None
+        if self._minds_others and state is State.OPERATION_ENABLED and self._is_overruled():
+            return False
         if self._is_schunk:
             stands = not statusword & StatusBit.MANUFACTURER_8
         elif not self._knows(objects.MODES_OF_OPERATION_DISPLAY):
@@ -366,6 +419,13 @@ class _Standstill:
         has_obeyed = self._was_moving or heard_at - since >= self._axis.reaction_time
         self.may_obey_late = not has_obeyed and not has_position
         return (has_obeyed and (not has_position or self._is_at_one_place())) or None
+
+    def _is_overruled(self) -> bool:
+        """Return whether a controlword of another master that lets the drive run was heard since ours."""
+        heard, ours = last_foreign(self._axis, objects.CONTROLWORD), self._axis.commanded_at
+        if heard is None or ours is None or heard.time < ours:
+            return False
+        return isinstance(heard.value, int) and _runs(heard.value)
 
     def _knows(self, mux: Mux) -> bool:
         """Return whether the object was heard, or will never be."""
