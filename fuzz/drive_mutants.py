@@ -148,6 +148,14 @@ DRIVE_MUTANTS: Final = tuple(
             EXCLUSIVE,
         ),
         (
+            "jerk_forgotten",
+            "drives/axis/velocity.py",
+            "        return time + growth if time >= growth else 2 * math.sqrt(time * growth)\n",
+            "        return time\n",
+            "a drive with limited jerk runs beyond its position limit",
+            OTHERS,
+        ),
+        (
             "halt_given_up",
             _HALTING,
             "        left -= 1\n",

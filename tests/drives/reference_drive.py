@@ -27,7 +27,7 @@ POWER_ON: Final[dict[int, tuple[int, int]]] = {  # mux -> bytes, value
     0x607A00: (4, 0), 0x607C00: (4, 0), 0x607D01: (4, -200_000), 0x607D02: (4, 200_000), 0x607F00: (4, 30_000),
     0x608100: (4, 20_000), 0x608200: (4, 0), 0x608300: (4, 40_000), 0x608400: (4, 40_000), 0x608500: (4, 80_000),
     0x608600: (2, 0), 0x609800: (1, 17), 0x609901: (4, 5000), 0x609902: (4, 1000), 0x609A00: (4, 40_000),
-    0x60C500: (4, 100_000), 0x60FD00: (4, 0), 0x60FF00: (4, 0), 0x650200: (4, 0x2D),
+    0x60A400: (1, 1), 0x60A401: (4, 0), 0x60C500: (4, 100_000), 0x60FD00: (4, 0), 0x60FF00: (4, 0), 0x650200: (4, 0x2D),
 }  # fmt: skip
 SIGNED: Final = {0x606000, 0x606100, 0x606200, 0x606400, 0x606C00, 0x607100, 0x607700, 0x607A00, 0x607C00, 0x607D01, 0x607D02,
                  0x609800, 0x60FF00, 0x605A00, 0x605D00, 0x600700, 0x608600}  # fmt: skip
@@ -57,6 +57,7 @@ class ReferenceDrive:
         self.place = 0.0  # of the shaft; the position counts from `zero`
         self.zero = 0.0
         self.velocity = 0.0
+        self.acceleration = 0.0  # of a profile with limited jerk
         self.furthest = 0.0
         self.enabled_at: list[Time] = []
         self.booted_at: Time = 0
@@ -366,6 +367,16 @@ class ReferenceDrive:
         self.furthest = max(self.furthest, abs(self.place))
 
     def _ramp(self, goal: float, rate: float, dt: float) -> None:
+        jerk = self.store[0x60A401]
+        if self.mode == PV and self.state == OE and self.store[0x608600] == 3 and jerk:
+            missing = goal - self.velocity
+            wanted = min(rate, (2 * jerk * abs(missing)) ** 0.5) * (1 if missing > 0 else -1)
+            self.acceleration += max(-jerk * dt, min(jerk * dt, wanted - self.acceleration))
+            self.velocity += self.acceleration * dt
+            if missing * (goal - self.velocity) <= 0 or abs(goal - self.velocity) < 1:
+                self.velocity, self.acceleration = goal, 0.0
+            return
+        self.acceleration = 0.0
         change = max(1.0, rate) * dt
         self.velocity += max(-change, min(change, goal - self.velocity))
 

@@ -262,6 +262,24 @@ def problems(name: str, kind: str, step: int, seed: int) -> Iterator[str]:
 # ---- each fault that this found ----
 
 
+@pytest.mark.parametrize("jerk", [5_000, 20_000, 200_000])
+@pytest.mark.parametrize("velocity", [4_000, 12_000])
+def test_a_drive_with_limited_jerk_gets_its_time_and_its_way(jerk: int, velocity: int) -> None:
+    bench = Bench()
+    bench.prepare(PP, ENABLED, o6086=3)
+    bench.drive.store[0x60A401] = jerk
+    bench.axis.settings = AxisSettings(max_position=50_000.0, max_speed=40_000.0)
+    error = bench.run(drive.run_at(bench.axis, velocity))
+    assert "came near 50000" in error, "it reached its velocity, and ran until the limit"
+    assert bench.drive.stands
+    assert bench.drive.furthest <= 50_000
+    bench = Bench()
+    bench.prepare(PP, ENABLED, o6086=3)
+    bench.drive.store[0x60A401] = jerk
+    assert bench.run(drive.run_at(bench.axis, 2_000, duration=8 * SECOND)) == ""
+    assert bench.drive.stands
+
+
 @pytest.mark.parametrize("by", ["reset", "power"])
 def test_a_run_whose_drive_boots_while_it_brakes_does_not_end_well(by: str) -> None:
     bench = Bench()
