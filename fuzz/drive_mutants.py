@@ -22,6 +22,7 @@ RUN_AT: Final = ("tests/drives/test_run_at.py",)
 SEQUENCE: Final = ("tests/drives/test_target_sequence.py",)
 SLOW: Final = ("tests/drives/test_slow_position.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
+CHANNELS: Final = ("tests/drives/test_stop_beside_channels.py",)
 OTHERS: Final = ("tests/drives/test_whoever_else_speaks.py",)
 
 _STATE: Final = "drives/axis/state.py"
@@ -138,6 +139,22 @@ DRIVE_MUTANTS: Final = tuple(
             "            continue\n",
             "a stop waits until a long transfer of the drive is over, and the drive runs on for minutes",
             STOP_FIRST,
+        ),
+        (
+            "stop_waits_for_a_further_channel",
+            "remote_node.py",
+            "            client.make_way(now, is_asked=client is not self.sdo)\n",
+            "            client.make_way(now)\n",
+            "a device that serves one SDO transfer at a time looks at a stop when the other one is over",
+            CHANNELS,
+        ),
+        (
+            "further_word_undoes_a_stop",
+            "remote_node.py",
+            "        for client in self._clients:\n            for request_id in client.waiting",
+            "        for client in [self.sdo]:\n            for request_id in client.waiting",
+            "a controlword that waits on a further SDO channel goes out behind a stop",
+            CHANNELS,
         ),
         (
             "stop_undone",

@@ -22,7 +22,7 @@ from canopen_proto.drives.axis.exclusive_motion import stops
 from canopen_proto.drives.axis.failures import DriveTimeoutError, TakenOverError, as_drive_errors, is_loss, name_of
 from canopen_proto.drives.axis.units import read_number
 from canopen_proto.drives.axis.view import last_foreign, view_of
-from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
+from canopen_proto.drives.axis.watching import DriveWait, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import (
@@ -37,7 +37,7 @@ from canopen_proto.drives.cia402.states import (
 )
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.objects import read_if_present, value_of
+from canopen_proto.procedures.objects import read_if_present, urgent_request, value_of
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
@@ -51,7 +51,7 @@ from canopen_proto.procedures.steps import (
     sleep,
 )
 from canopen_proto.remote_node import FRESH
-from canopen_proto.sdo.client import SdoUploaded
+from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
 STANDSTILL_LOOK: Final = 30 * MILLISECOND
 """Between two looks at the position of a drive whose statusword does not show whether it stands."""
@@ -116,7 +116,7 @@ def _stop(axis: Axis) -> Procedure[None]:
     yield from command_held(axis, word)  # a SYNC may come before the drive's state is known
     is_told = yield from halt_first(axis)
     try:
-        statusword = yield from read_statusword(axis)
+        statusword = yield from _statusword_now(axis)
     except SdoTransferError as failed:
         if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
             yield from insist(axis, int(Command.QUICK_STOP))
@@ -124,6 +124,7 @@ def _stop(axis: Axis) -> Procedure[None]:
     if not is_told and _may_be_disabled(axis):
         statusword = (yield from _statusword_soon(axis)) or statusword
     state = state_of(statusword)
+    axis.was_enabled = axis.was_enabled or state is State.OPERATION_ENABLED
     if state is State.UNKNOWN:
         state = yield from _next_state(axis)
     if state in _CAN_BE_ENABLED and may_be_enabled(axis):
@@ -169,6 +170,20 @@ def _may_be_disabled(axis: Axis) -> bool:
     word = last_foreign(axis, objects.CONTROLWORD)
     heard_at = axis.node.heard_at.get(objects.STATUSWORD, -NEVER)
     return word is not None and word.time >= heard_at - FRESH and not enables_operation(word.value)
+
+
+def _statusword_now(axis: Axis) -> Procedure[int]:
+    """Return the statusword, as `read_statusword`; a read waits for no other transfer."""
+    node = axis.node
+    statusword = axis.fresh_statusword((yield from current_time()))
+    if statusword is not None:
+        return statusword
+    outcome = yield from urgent_request(node, lambda now: node.read(objects.STATUSWORD, now, urgent=True))
+    if not isinstance(outcome, SdoUploaded):
+        assert isinstance(outcome, SdoAborted)
+        raise SdoTransferError(outcome, "reading")
+    value_of(node, node.dictionary.variable(objects.STATUSWORD), outcome)
+    return axis.statusword
 
 
 def _statusword_soon(axis: Axis) -> Procedure[int | None]:
