@@ -207,8 +207,8 @@ DRIVE_MUTANTS: Final = tuple(
         (
             "halted_against_the_other",
             _HALTING,
-            "    return word is not None and word.time >= heard_at - FRESH and not enables_operation(word.value)\n",
-            "    return False\n",
+            "        if (yield from current_time()) - foreign.time < axis.reaction_time:\n",
+            "        if False:\n",
             "a halt enables a drive again that another master has just disabled",
             OTHERS,
         ),

@@ -121,8 +121,6 @@ def _stop(axis: Axis) -> Procedure[None]:
         if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
             yield from insist(axis, int(Command.QUICK_STOP))
         raise
-    if not is_told and _may_be_disabled(axis):
-        statusword = (yield from _statusword_soon(axis)) or statusword
     state = state_of(statusword)
     axis.was_enabled = axis.was_enabled or state is State.OPERATION_ENABLED
     if state is State.UNKNOWN:
@@ -131,7 +129,7 @@ def _stop(axis: Axis) -> Procedure[None]:
         state = yield from _late_state(axis)
     if state is State.OPERATION_ENABLED:
         if not is_told:
-            yield from insist(axis, (yield from _halt_word(axis)))
+            yield from _send_halt(axis)
     elif state is State.QUICK_STOP_ACTIVE and may_be_enabled(axis):
         yield from insist(axis, int(Command.QUICK_STOP))
     else:
@@ -153,23 +151,22 @@ def halt_first(axis: Axis) -> Procedure[bool]:
     The first step of a halt: nothing before it can fail. Raises SdoTransferError if the drive does not confirm it.
     """
     statusword = axis.fresh_statusword((yield from current_time()))
-    if statusword is not None and _may_be_disabled(axis):
-        statusword = None
     may_be = axis.state is State.OPERATION_ENABLED or may_be_enabled(axis)
     if statusword is None and may_be:
         statusword = yield from _statusword_soon(axis)
     is_enabled = may_be if statusword is None else state_of(statusword) is State.OPERATION_ENABLED
     if is_enabled:
-        yield from insist(axis, (yield from _halt_word(axis)))
+        yield from _send_halt(axis)
     return is_enabled
 
 
-def _may_be_disabled(axis: Axis) -> bool:
-    """Return whether another master was heard that takes the drive's power, after what the drive has shown, or just before: its
-    answer may have been under way."""
-    word = last_foreign(axis, objects.CONTROLWORD)
-    heard_at = axis.node.heard_at.get(objects.STATUSWORD, -NEVER)
-    return word is not None and word.time >= heard_at - FRESH and not enables_operation(word.value)
+def _send_halt(axis: Axis) -> Procedure[None]:
+    """Send the word that halts the drive. If another master has disturbed its answer, the drive shows whether it came."""
+    try:
+        yield from insist(axis, (yield from _halt_word(axis)))
+    except SdoTransferError as failed:
+        if failed.origin is not AbortOrigin.CONTESTED:
+            raise
 
 
 def _statusword_now(axis: Axis) -> Procedure[int]:
@@ -241,10 +238,15 @@ def _next_state(axis: Axis) -> Procedure[State]:
 def _halt_word(axis: Axis) -> Procedure[int]:
     """Return the word that halts a drive which shows Operation enabled.
 
-    Bit 8 comes with the command to enable. A drive that another stop has just told to leave Operation enabled, and that has not
-    shown it yet, would be led back by it: it gets the word of that stop once more.
+    Bit 8 comes with the command to enable. A drive that another stop, or another master, has just told to leave Operation
+    enabled, and that has not shown it yet, would be led back by it: it gets that word once more.
     """
     told_at, word = axis.commanded_at, axis.commanded
+    foreign = last_foreign(axis, objects.CONTROLWORD)
+    if foreign is not None and foreign.time >= (told_at or 0) and not enables_operation(foreign.value):
+        assert isinstance(foreign.value, int)
+        if (yield from current_time()) - foreign.time < axis.reaction_time:
+            return foreign.value & COMMAND_BITS & ~ControlBit.FAULT_RESET
     # A write past the axis that was not confirmed may have come behind it
     is_last = not any(map(enables_operation, axis.node.may_hold(objects.CONTROLWORD) - {axis.controlword}))
     if told_at is not None and is_last and word & COMMAND_BITS in STAYS.values():
@@ -350,11 +352,7 @@ def _wait_for_standstill(axis: Axis) -> Procedure[None]:
                 text = f"did not reach {judge.watch.goal} within {timeout / SECOND:g} s"
                 raise DriveTimeoutError(axis, text, view=view) from failed
         left -= 1
-        try:
-            yield from insist(axis, (yield from _halt_word(axis)))
-        except SdoTransferError as failed:
-            if not failed.not_confirmed:
-                raise  # else the drive shows whether it came: the other master's frames disturb its answer
+        yield from _send_halt(axis)
 
 
 def _other_word(axis: Axis) -> Procedure[int | None]:
