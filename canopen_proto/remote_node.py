@@ -200,19 +200,21 @@ class RemoteNode(Group):
         return was_open
 
     def drop_waiting(self, mux: Mux, now: Time) -> None:
-        """Give up the writes of an object that wait, unless they are urgent: nothing of them was sent. SdoAborted (CANCELLED)
-        follows for each.
+        """Give up the writes of an object that wait, on any channel, unless they are urgent: nothing of them was sent. SdoAborted
+        (CANCELLED) follows for each.
 
         For an urgent write of the same object, which goes before them: sent behind it, they would undo it.
         """
-        for request_id in self.sdo.waiting_writes(*split_mux(mux)):
-            self.cancel(request_id, now)
+        for client in self._clients:
+            for request_id in client.waiting_writes(*split_mux(mux)):
+                self.cancel(request_id, now)
 
     def make_way(self, now: Time) -> None:
-        """End the transfer of `sdo` under way if an urgent request waits for it: SdoAborted (CANCELLED) follows. Does nothing if
-        it is urgent itself."""
+        """End what an urgent request of `sdo` waits for: its transfer under way, and those of further channels, since a device
+        may serve one at a time. SdoAborted (CANCELLED) follows. Transfers that are urgent themselves go on."""
         mark = len(self.inner.events)
-        self.sdo.make_way(now)
+        for client in self._clients:
+            client.make_way(now, is_asked=client is not self.sdo)
         self._settle(mark, now)
 
     def add_sdo_channel(self, request_key: RoutingKey, response_key: RoutingKey) -> SdoClient:

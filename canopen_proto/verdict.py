@@ -15,8 +15,8 @@ from canopen_proto.procedures.steps import ProcedureError
 
 
 class Result(StrEnum):
-    """The result of a case. REMARK: nothing is wrong, but a person should look at it. NOT_JUDGED: something went wrong, and what is
-    tested may not be at fault."""
+    """The result of a case. REMARK: nothing is wrong, but a person should look at it. NOT_JUDGED: something went wrong, and what
+    is tested may not be at fault."""
 
     PASSED = "passed"
     REMARK = "remark"

@@ -22,6 +22,8 @@ RUN_AT: Final = ("tests/drives/test_run_at.py",)
 SEQUENCE: Final = ("tests/drives/test_target_sequence.py",)
 SLOW: Final = ("tests/drives/test_slow_position.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
+CHANNELS: Final = ("tests/drives/test_stop_beside_channels.py",)
+OTHERS: Final = ("tests/drives/test_whoever_else_speaks.py",)
 
 _STATE: Final = "drives/axis/state.py"
 _HALTING: Final = "drives/axis/halting.py"
@@ -139,12 +141,76 @@ DRIVE_MUTANTS: Final = tuple(
             STOP_FIRST,
         ),
         (
+            "stop_waits_for_a_further_channel",
+            "remote_node.py",
+            "            client.make_way(now, is_asked=client is not self.sdo)\n",
+            "            client.make_way(now)\n",
+            "a device that serves one SDO transfer at a time looks at a stop when the other one is over",
+            CHANNELS,
+        ),
+        (
+            "further_word_undoes_a_stop",
+            "remote_node.py",
+            "        for client in self._clients:\n            for request_id in client.waiting",
+            "        for client in [self.sdo]:\n            for request_id in client.waiting",
+            "a controlword that waits on a further SDO channel goes out behind a stop",
+            CHANNELS,
+        ),
+        (
             "stop_undone",
             "drives/axis/exclusive_motion.py",
             "if occupancy.stops == 1:",
             "if False:",
             "a command that waits behind another SDO transfer goes out behind the stop, and starts the motion",
             EXCLUSIVE,
+        ),
+        (
+            "jerk_forgotten",
+            "drives/axis/velocity.py",
+            "        return time + growth if time >= growth else 2 * math.sqrt(time * growth)\n",
+            "        return time\n",
+            "a drive with limited jerk runs beyond its position limit",
+            OTHERS,
+        ),
+        (
+            "halt_given_up",
+            _HALTING,
+            "        left -= 1\n",
+            "        return\n",
+            "a halt that another master has taken back is told as done, and the drive runs",
+            OTHERS,
+        ),
+        (
+            "coasting_counts_as_standing",
+            _HALTING,
+            "            return not has_position or self._is_at_one_place() or None\n        if self._minds",
+            "            return True\n        if self._minds",
+            "a drive that loses its power in a halt is told as standing while it coasts",
+            OTHERS,
+        ),
+        (
+            "boot_forgotten",
+            _HALTING,
+            "        if is_loss(failed):\n",
+            "        if False:\n",
+            "a run whose drive was reset while it braked is told as done",
+            OTHERS,
+        ),
+        (
+            "enabled_against_the_other",
+            "drives/axis/view.py",
+            "    return word.time >= axis.motion_began and not enables_operation(word.value)\n",
+            "    return False\n",
+            "a motion enables a drive again that another master has just disabled",
+            OTHERS,
+        ),
+        (
+            "halted_against_the_other",
+            _HALTING,
+            "        if (yield from current_time()) - foreign.time < axis.reaction_time:\n",
+            "        if False:\n",
+            "a halt enables a drive again that another master has just disabled",
+            OTHERS,
         ),
         (
             "led_back",

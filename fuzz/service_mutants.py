@@ -14,6 +14,7 @@ NMT: Final = ("tests/core/test_nmt.py",)
 HEARTBEAT: Final = ("tests/core/test_heartbeat.py",)
 SYNC: Final = ("tests/core/test_sync.py",)
 LSS: Final = ("tests/lss/test_lss.py",)
+LSS_OTHERS: Final = ("tests/lss/test_two_lss_masters.py",)
 LSS_LIFE: Final = ("tests/lss/test_lss_midlife.py",)
 CHANNELS: Final = ("tests/core/test_sdo_channels.py",)
 FAIRNESS: Final = ("tests/core/test_sdo_fairness.py",)
@@ -610,6 +611,14 @@ SERVICE_MUTANTS: Final = tuple(
             "self._arm(now + self._delay)",
             "a device whose driver was late is silent for longer than the others",
             LSS,
+        ),
+        (
+            "two_lss_masters",
+            "lss/scan.py",
+            "    if age <= OTHERS_GONE:\n",
+            "    if False:\n",
+            "two LSS masters write to the devices that the other has selected, and two devices get one node-ID",
+            LSS_OTHERS,
         ),
         (
             "guard_beyond_the_window",

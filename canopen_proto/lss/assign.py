@@ -261,11 +261,12 @@ def give(
 
     present: the node-ID that it has; if it has one, it resets its communication, on our command. store: it keeps the node-ID
     without power. When it is cancelled before the device was told to store, the device gets its present node-ID back; in any case
-    all slaves are sent to "waiting" first.
+    all slaves are sent to "waiting" first. If another LSS master is heard while the node-ID is written, the device gets none, and
+    LssError is raised.
     """
     try:
         result = yield from _give(tool, pace, address, check_node_id(node_id), present, store)
-    except Cancelled:
+    except (Cancelled, LssError):
         yield from all_waiting(tool)
         raise
     yield from act(lambda now: tool.out.events.append(LssGiven(0, result)))
@@ -288,6 +289,9 @@ def _give(tool: LssTool, pace: Pace, address: LssAddress, node_id: int, present:
     except Cancelled:
         yield from ask_for_time(TRIES * pace.window + BOOT_WINDOW)
         yield from _take_back(tool, pace, present)
+        raise
+    except LssError:  # another master's device may have taken it, too: none may boot with it
+        yield from _take_back(tool, pace, UNCONFIGURED)
         raise
     if error:
         yield from _take_back(tool, pace, present)
@@ -388,7 +392,7 @@ def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> 
 def _take_back(tool: LssTool, pace: Pace, present: int) -> Procedure[None]:
     """Put the old pending node-ID back, before the device leaves "configuration"."""
     for _ in range(TRIES):
-        reply = yield from ask(tool, lambda now: tool.master.configure_node_id(present, now, window=pace.window))
+        reply = yield from ask(tool, lambda now: tool.master.configure_node_id(present, now, window=pace.window), alone=False)
         if reply.count:
             break
 

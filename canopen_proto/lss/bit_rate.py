@@ -24,7 +24,7 @@ from typing import Final
 
 from canopen_proto.lss.assign import LssNotSelectedError, select_only
 from canopen_proto.lss.messages import BIT_RATES, OK, LssAddress, LssService, LssState, error_text
-from canopen_proto.lss.scan import TRIES, LssTool, Pace, all_waiting, ask, released
+from canopen_proto.lss.scan import TRIES, LssError, LssTool, Pace, all_waiting, ask, released, require_alone
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, act, ask_for_time, sleep
 
@@ -54,8 +54,8 @@ def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate
     """Set the pending bit rate of all devices, kbit/s; return those that refused, or do not answer. pace: how long questions
     wait. addresses: all devices on the bus.
 
-    With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled, by
-    `take_back`.
+    With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled,
+    and when another LSS master is heard (LssError), by `take_back`.
     """
     index, old = index_of(bit_rate), index_of(present)
     prepared: list[LssAddress] = []
@@ -65,7 +65,7 @@ def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate
             prepared.append(address)  # one that did not answer may have it all the same
             if refusal is not None:
                 return [refusal, *(yield from _put_back(tool, pace, prepared, old))]
-    except Cancelled:
+    except (Cancelled, LssError):
         yield from ask_for_time(TRIES * pace.window + SECOND)
         yield from take_back(tool, pace, present)
         raise
@@ -78,7 +78,7 @@ def take_back(tool: LssTool, pace: Pace, present: int) -> Procedure[None]:
     index = index_of(present)
     for _ in range(TRIES):
         yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
-        yield from ask(tool, lambda now: tool.master.configure_bit_timing(index, now, window=pace.window))
+        yield from ask(tool, lambda now: tool.master.configure_bit_timing(index, now, window=pace.window), alone=False)
     yield from all_waiting(tool)
 
 
@@ -131,7 +131,9 @@ def activate(tool: LssTool, delay: Time = DELAY) -> Procedure[None]:
     """Let all devices switch. Returns when the first delay (ns, whole ms) is over: the caller switches its interface at once.
 
     Meanwhile nothing may be sent: no SYNC, no heartbeat. Then wait for the same time again before anything is sent.
+    Raises LssError, with nothing sent, if another LSS master is at work.
     """
+    yield from require_alone(tool)
     for _ in range(2):
         yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
     yield from act(lambda now: tool.master.activate_bit_timing(delay, now))

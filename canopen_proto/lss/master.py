@@ -13,6 +13,9 @@ An answer that comes when no command waits for it is an LssAnswerUnexpected: it 
 comes in the window of a later command cannot be told from that one's own: so procedures check what they find
 (scan.py).
 
+**One master on a bus** (CiA 305, from memory): slaves cannot tell two apart, and each would write to what the other has selected.
+So the master hears the requests of others; `others` and `others_at` tell the last one. Procedures refuse to go on then (scan.py).
+
 One command at a time: slaves drop a request that comes before they have answered the last one. A command that is given while
 another one waits is a fault of the caller.
 """
@@ -94,11 +97,14 @@ class LssAnswerUnexpected(Event):
 
 
 class LssMaster(Machine):
-    """Sends LSS commands; see this module's text. frame_gap: ns; may be set."""
+    """Sends LSS commands; see this module's text. frame_gap: ns; may be set. others: the last request of another LSS master;
+    None: none was heard. others_at: when it came."""
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
         self.frame_gap: Time = FRAME_GAP
+        self.others: Frame | None = None
+        self.others_at: Time = -NEVER
         self._request_id: RequestId = 0  # 0: no command waits
         self._queue: list[bytes] = []  # its frames that are still to be sent
         self._expected = LssService.IDENTIFIED
@@ -116,7 +122,7 @@ class LssMaster(Machine):
         return self._request_id != 0
 
     def can_ids(self) -> Iterable[RoutingKey]:
-        return (FROM_SLAVE,)
+        return (FROM_SLAVE, FROM_MASTER)
 
     # ---- commands without an answer ----
 
@@ -225,7 +231,10 @@ class LssMaster(Machine):
     # ---- inputs ----
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Take an answer."""
+        """Take an answer, or note a request of another master: our own are not received."""
+        if frame.key == FROM_MASTER:
+            self.others, self.others_at = frame, now
+            return
         data = frame.data
         if len(data) != LENGTH:
             self.out.events.append(FrameIgnored(0, frame, f"an LSS frame has {LENGTH} bytes, not {len(data)}"))

@@ -57,6 +57,9 @@ ROUNDS: Final = 5
 """How often a bit is asked for, as 0 and as 1, once answers got lost."""
 UNLIKELY: Final = 3
 """After so many failures of one thing, late answers are a likelier cause than lost ones."""
+OTHERS_GONE: Final = 5 * SECOND
+"""Another LSS master that was not heard for this long has ended. It may wait a second or two for an answer."""
+
 ATTEMPTS: Final = 8
 """How often a scan is begun, and a number asked for, before it is given up."""
 
@@ -174,10 +177,28 @@ def duration_of(known: Known = NOTHING_KNOWN, pace: Pace | None = None) -> tuple
 # ---- single services as steps ----
 
 
-def ask(tool: LssTool, command: Callable[[Time], RequestId]) -> Procedure[LssReply]:
-    """Give a command of the LSS master; return its reply. A command that raises LocalProtocolError raises it here."""
+def ask(tool: LssTool, command: Callable[[Time], RequestId], *, alone: bool = True) -> Procedure[LssReply]:
+    """Give a command of the LSS master; return its reply. A command that raises LocalProtocolError raises it here.
+
+    Raises LssError, before it or behind it, if another LSS master is heard. alone: False: give it all the same, to undo a write.
+    """
+    if alone:
+        yield from require_alone(tool)
     reply: LssReply = yield Request(tool.master, lambda now, urgent: command(now))
+    if alone:
+        yield from require_alone(tool)
     return reply
+
+
+def require_alone(tool: LssTool) -> Procedure[None]:
+    """Raise LssError if another LSS master was heard within OTHERS_GONE."""
+    age = (yield from current_time()) - tool.master.others_at
+    if age <= OTHERS_GONE:
+        raise LssError(
+            f"another LSS master is at work on this bus: it sent {tool.master.others} {age / MILLISECOND:.0f} ms ago. Each of "
+            "two masters writes to the devices that the other has selected, so nothing more was written. Try: wait until the "
+            "other program has ended, or end it; then begin again"
+        )
 
 
 def all_waiting(tool: LssTool) -> Procedure[None]:

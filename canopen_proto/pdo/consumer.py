@@ -7,7 +7,8 @@ of its dictionary, and reports `PdoReceived`. The transmission type says when:
     254, 255    event-driven: at once.
 
 With a synchronous window (0x1007, `set_window`), a synchronous PDO that comes after the end of the window is dropped until the
-next SYNC: `PdoTooLate`. Before the first SYNC there is no window.
+next SYNC: `PdoTooLate`. Before the first SYNC there is no window. The transport's timestamps of SYNC and PDO decide if both have
+one: a PDO that was on the bus in time is not late because this process stalled before it looked.
 
 The frame's length is checked against the mapping (7.5.2.36). A shorter frame is not processed; of a longer one the mapped bytes
 are used. Both are reported, with the code of the EMCY that a device then sends.
@@ -115,8 +116,9 @@ class PdoLengthUnexpected(Event):
 
 
 class PdoTooLate(Event):
-    """A synchronous PDO came after the synchronous window and was dropped. late: ns after its end. timestamp: of the frame.
-    number: of the PDO, 1..512, or 0. key: the routing key of its frames."""
+    """A synchronous PDO came after the synchronous window and was dropped. late: ns after its end, as it was on the bus; if SYNC
+    or PDO had no timestamp of the transport, as this process handled them, so that the lateness may be our own. timestamp: of
+    the frame. number: of the PDO, 1..512, or 0. key: the routing key of its frames."""
 
     __match_args__ = ("node_id", "number", "key", "late", "timestamp")
 
@@ -152,8 +154,8 @@ class PdoConsumer(Machine):
     """
 
     __slots__ = (
-        "_held", "_held_timestamp", "_window", "_window_end", "at_once", "enabled", "event_time", "key", "mapping", "node_id",
-        "number", "store", "synchronous",
+        "_held", "_held_timestamp", "_stamp_end", "_window", "_window_end", "at_once", "enabled", "event_time", "key", "mapping",
+        "node_id", "number", "store", "synchronous",
     )  # fmt: skip
 
     def __init__(
@@ -181,6 +183,7 @@ class PdoConsumer(Machine):
         self._held_timestamp: int | None = None
         self._window: Time = 0
         self._window_end: Time = NEVER
+        self._stamp_end: Time | None = None  # the end of the window by the transport's clock
         self.configure(key, mapping, transmission_type, event_time)
 
     @classmethod
@@ -232,7 +235,7 @@ class PdoConsumer(Machine):
         CiA 301 v4.2.0, 7.5.2.7
         """
         self._window = window
-        self._window_end = NEVER
+        self._window_end, self._stamp_end = NEVER, None
 
     def request(self, now: Time) -> bool:
         """Ask for the PDO by a remote frame. Sends nothing and returns False if it is not live. CiA 301 v4.2.0, 7.2.2.5.2"""
@@ -266,8 +269,9 @@ class PdoConsumer(Machine):
         if self.event_time:
             self._arm(now + self.event_time)
         if self.synchronous:
-            if now > self._window_end:
-                late = now - self._window_end
+            stamp, end = self.out.timestamp, self._stamp_end
+            late = now - self._window_end if stamp is None or end is None else stamp - end
+            if late > 0:
                 self.out.events.append(PdoTooLate(self.node_id, self.number, self.key, late, self.out.timestamp))
                 return
             self._held = data
@@ -278,7 +282,9 @@ class PdoConsumer(Machine):
     def on_sync(self, counter: int | None, now: Time) -> None:
         """Handle a SYNC: put the held data into the store and report `PdoReceived`. counter: not used by consumers."""
         if self._window:
+            stamp = self.out.timestamp
             self._window_end = now + self._window
+            self._stamp_end = None if stamp is None else stamp + self._window
         data = self._held
         if data is not None:
             self._held = None
@@ -311,5 +317,5 @@ class PdoConsumer(Machine):
 
     def _forget(self) -> None:
         self._held = None
-        self._window_end = NEVER
+        self._window_end, self._stamp_end = NEVER, None
         self._arm(NEVER)

@@ -322,11 +322,11 @@ class SdoClient(ChannelEnd):
         """Return the outcome of a request that its caller has given up before this client had it."""
         return SdoAborted(self.node_id, NOBODY, index, subindex, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)
 
-    def make_way(self, now: Time) -> None:
+    def make_way(self, now: Time, *, is_asked: bool = False) -> None:
         """Give the transfer under way up, as `cancel` does, if an urgent request waits for it. Does nothing if it is urgent
-        itself, or a question, which is over soon."""
-        transfer = self._transfer
-        if transfer is not None and self._queue.urgent and not transfer.is_urgent and transfer.request_id != NOBODY:
+        itself, or a question, which is over soon. is_asked: an urgent request of another channel waits for an answer."""
+        transfer, waits = self._transfer, is_asked or bool(self._queue.urgent)
+        if transfer is not None and waits and not transfer.is_urgent and transfer.request_id != NOBODY:
             self.cancel(transfer.request_id, now)
 
     def abort_all(self, abort_code: int, now: Time) -> None:

@@ -165,6 +165,26 @@ def test_a_synchronous_pdo_behind_the_window_is_dropped_until_the_next_sync() ->
     assert [type(each) for each in take_events(consumer.out)] == [PdoReceived]
 
 
+def test_a_synchronous_pdo_is_not_late_because_this_process_was() -> None:
+    consumer = PdoConsumer(Outbox(), 12, 1, 0x20C, MAPPING, {}, 1)
+    consumer.set_window(MS)
+    consumer.set_enabled(True, 0)
+
+    def pass_by(sync: int | None, pdo: int | None, sync_at: int, pdo_at: int) -> list[int]:
+        """SYNC and PDO with the transport's timestamps, handled at other times; return how late the PDO was."""
+        consumer.out.timestamp = sync
+        consumer.on_sync(None, sync_at)
+        take_events(consumer.out)
+        consumer.out.timestamp = pdo
+        consumer.receive(Frame(0x20C, b"\x34\x12"), pdo_at)
+        return [event.late for event in take_events(consumer.out) if isinstance(event, PdoTooLate)]
+
+    assert pass_by(5000 * MS, 5001 * MS, 100 * MS, 150 * MS) == [], "we looked 50 ms after it"
+    assert pass_by(5010 * MS, 5013 * MS, 170 * MS, 170 * MS) == [2 * MS], "both were handled at once, and it was late"
+    assert pass_by(None, 5021 * MS, 180 * MS, 184 * MS) == [3 * MS], "our own SYNC: only our times are known"
+    assert pass_by(5030 * MS, None, 190 * MS, 194 * MS) == [3 * MS]
+
+
 def test_the_window_does_not_concern_event_driven_pdos() -> None:
     consumer = PdoConsumer(Outbox(), 12, 1, 0x20C, MAPPING, {})
     consumer.set_window(MS)

@@ -401,7 +401,7 @@ def test_a_command_can_be_given_up() -> None:
     assert take_events(device.out) == [LssReply(0, request_id, LssService.SELECTED, (), 0, 0)]
     device.handle_timeout(MILLISECOND)
     assert take_frames(device.out) == ["7E5#4060030000000000"]
-    assert [*device.can_ids(), *slave().can_ids()] == [FROM_SLAVE, FROM_MASTER]
+    assert [*device.can_ids(), *slave().can_ids()] == [FROM_SLAVE, FROM_MASTER, FROM_MASTER]
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ from canopen_proto.drives.axis.settings import SCHUNK_POWERBALL as SCHUNK_POWERB
 from canopen_proto.drives.axis.settings import AxisSettings as AxisSettings
 from canopen_proto.drives.axis.settings import HomingStyle as HomingStyle
 from canopen_proto.drives.cia402 import objects
-from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
+from canopen_proto.drives.cia402.states import FAULT_STATES, State, enables_operation, state_of
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
@@ -74,7 +74,8 @@ class Axis:
     words; "": nothing. answer_time: ns, see above; None: not known. commanded_at, selected_at: when this master last sent a
     controlword, and a mode; None: not since then. commanded: that controlword.
     has_opened_brake: whether this master holds the brake open by an output, see digital_io.py. occupancy: the motion under way,
-    see exclusive_motion.py.
+    see exclusive_motion.py; motion_began: when the last one began. was_enabled: since then it was seen in Operation enabled.
+    was_taken_down: it has left that state afterwards, though this master had commanded it: somebody has disabled it.
     """
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = OPEN_SETTINGS, number: int = 0) -> None:
@@ -105,6 +106,8 @@ class Axis:
         self.selected_at: Time | None = None
         self.has_opened_brake = False
         self.occupancy = Occupancy()
+        self.motion_began: Time = NEVER
+        self.was_enabled = self.was_taken_down = False
         self.node.keep_commanded(objects.CONTROLWORD)
         node.foreign_writes.listen([self.node.on_device(mux) for mux in (objects.CONTROLWORD, objects.MODES_OF_OPERATION)])
         self.node.add_listener(self._on_values, self._on_boot)
@@ -252,4 +255,6 @@ class Axis:
     def _enter(self, state: State) -> None:
         if state is not self.state:
             previous, self.state = self.state, state
+            if previous is State.OPERATION_ENABLED and self.was_enabled and enables_operation(self.commanded):
+                self.was_taken_down = True
             self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, self.statusword, self.number))

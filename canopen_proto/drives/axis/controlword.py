@@ -11,10 +11,11 @@ from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import as_drive_errors, is_loss_of, node_lost
+from canopen_proto.drives.axis.failures import as_drive_errors, is_loss_of, node_lost, taken_down
+from canopen_proto.drives.axis.view import is_taken_down
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeControl
-from canopen_proto.drives.cia402.states import Command, State
+from canopen_proto.drives.cia402.states import Command, State, enables_operation
 from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import urgent_request, write
@@ -68,8 +69,12 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
     SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
     then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: an SDO
-    write goes as an `urgent_request`. Raises SdoTransferError, DriveLostError.
+    write goes as an `urgent_request`. Raises SdoTransferError, DriveLostError; StateLostError, with nothing sent, for a word of a
+    motion that would enable a drive which somebody else has disabled.
     """
+    is_of_motion = axis.occupancy.is_inside and axis.occupancy.occupant is not None and not urgent
+    if is_of_motion and enables_operation(controlword) and is_taken_down(axis):
+        raise taken_down(axis)
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
         axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way

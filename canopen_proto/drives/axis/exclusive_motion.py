@@ -2,7 +2,7 @@
 
 **A motion** (`moves`: move_to, home, run_at, set_mode, enable ...) is refused with AxisBusyError, before anything is sent, while
 another one is under way. It waits while the axis is being halted: by a stop, or as the clean-up of a motion that failed or was
-cancelled. A stop that begins meanwhile ends it, too.
+cancelled. A stop that begins meanwhile ends it, too. A motion enables no drive that somebody else has disabled since it began.
 
 **A stop** (`stops`: halt, quick_stop, and what leads a drive down) begins at once. The motion under way ends with TakenOverError
 as soon as its present step ends (10 ms, or an answer), and sends no further controlword. A controlword of it that waits behind
@@ -23,7 +23,7 @@ from canopen_proto.drives.axis.failures import AxisBusyError, TakenOverError
 from canopen_proto.drives.axis.occupancy import Occupant
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.procedures.steps import Cancelled, Procedure, act, sleep
+from canopen_proto.procedures.steps import Cancelled, Procedure, act, current_time, sleep
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -49,7 +49,9 @@ def moves(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[C
             if occupancy.stops_begun != stops_before:
                 raise TakenOverError(axis, name, occupancy.last_stop)
         occupant = occupancy.occupy(name)
+        axis.was_enabled = axis.was_taken_down = False
         try:
+            axis.motion_began = yield from current_time()
             return (yield from _inside(axis, procedure(axis, *args, **kwargs), occupant))
         finally:
             occupancy.release(occupant)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
-from canopen_proto.abort import AbortOrigin
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.axis.reasons import Reason, look_closer, outer_reason
@@ -72,6 +72,9 @@ class DriveAccessError(DriveError, SdoTransferError):
         found = outer_reason(self.view)
         if found is None and failed.origin is AbortOrigin.TIMEOUT:
             found = Reason("it is silent", "look at its power, its cable and its node-ID")
+        elif found is None and is_loss(failed):
+            is_silent = axis.remote.heartbeat.lost or axis.remote.guarding.lost
+            found = Reason(_NO_SIGN if is_silent else _BOOTED, _LOOK_AT_POWER)
         elif found is None:
             found = Reason("", _REMEDIES.get(axis.node.on_device(mux(failed.index, failed.subindex)), ""))
         self._tell(axis, str(failed), found)
@@ -86,6 +89,9 @@ _REMEDIES = {
 }
 """The remedy if a drive refuses an object, and shows no obstacle."""
 
+_BOOTED = "it booted: it was reset, or its power was off"
+_NO_SIGN = "its heartbeat, or its answers to node guarding, stopped"
+_LOOK_AT_POWER = "look at the drive, its power and its cable"
 
 _WHAT_TOOK_IT = (
     "find out what took it there: another master, a quick stop, or an input of the drive (enable, safe torque off, limit switch)"
@@ -191,6 +197,11 @@ def state_lost(axis: Axis, state: State, goal: str) -> StateLostError:
     return StateLostError(axis, f"went to {state} while waiting for {goal}", remedy=_WHAT_TOOK_IT)
 
 
+def taken_down(axis: Axis) -> StateLostError:
+    """Return the error to raise for a drive that somebody else has disabled since its motion began: it is not enabled again."""
+    return StateLostError(axis, "was disabled during its motion, and is not enabled again", remedy=_WHAT_TOOK_IT)
+
+
 def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLostError:
     """Return the error to raise for a drive that left `mode`. goal: what was waited for, for the text."""
     view = view_of(axis)
@@ -211,6 +222,15 @@ def is_loss_of(node: AxisNode, report: Event) -> bool:
     return lost or (isinstance(report, NmtStateReported) and report.state is NmtState.STOPPED)
 
 
+def is_loss(error: ProcedureError) -> bool:
+    """Return whether a procedure failed because the node booted, fell silent or was stopped."""
+    return isinstance(error, DriveLostError) or (
+        isinstance(error, SdoTransferError)
+        and error.origin is AbortOrigin.LOCAL
+        and error.abort_code == AbortCode.NO_SDO_CONNECTION
+    )
+
+
 def node_lost(axis: Axis, report: Event, goal: str) -> DriveLostError:
     """Return the error to raise for an event of `is_loss_of`. goal: what was waited for, for the text."""
     match report:
@@ -219,11 +239,10 @@ def node_lost(axis: Axis, report: Event, goal: str) -> DriveLostError:
         case NodeGuardingLost(life_time=life_time):
             seen = f"it did not answer node guarding for {life_time / SECOND:g} s"
         case NodeBooted():
-            seen = "it booted: it was reset, or its power was off"
+            seen = _BOOTED
         case _:
             seen = "it was stopped (NMT)"
-    remedy = "look at the drive, its power and its cable"
-    return DriveLostError(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
+    return DriveLostError(axis, f"was lost while waiting for {goal}", reason=seen, remedy=_LOOK_AT_POWER)
 
 
 def require_reference(axis: Axis) -> None:

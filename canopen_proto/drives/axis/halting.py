@@ -2,13 +2,16 @@
 
 The drive's speed and ramp decide how long that takes. So a halt waits step by step, as long as the drive is slower at the end of
 a step than at its beginning. A step takes `reaction_time` plus `halt_time`. A drive that does not get slower is reported after
-one step.
+one step. A drive that loses its power during a halt may coast: it stands once its position stays.
+
+Another master may take the halt back, by a controlword without bit 8. Then the halt is sent again, OVERRULED times at most.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -16,9 +19,10 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
 from canopen_proto.drives.axis.exclusive_motion import stops
-from canopen_proto.drives.axis.failures import TakenOverError, as_drive_errors, name_of
+from canopen_proto.drives.axis.failures import DriveTimeoutError, TakenOverError, as_drive_errors, is_loss, name_of
 from canopen_proto.drives.axis.units import read_number
-from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
+from canopen_proto.drives.axis.view import last_foreign, view_of
+from canopen_proto.drives.axis.watching import DriveWait, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import (
@@ -33,7 +37,7 @@ from canopen_proto.drives.cia402.states import (
 )
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.objects import read_if_present, value_of
+from canopen_proto.procedures.objects import read_if_present, urgent_request, value_of
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
@@ -47,7 +51,7 @@ from canopen_proto.procedures.steps import (
     sleep,
 )
 from canopen_proto.remote_node import FRESH
-from canopen_proto.sdo.client import SdoUploaded
+from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
 STANDSTILL_LOOK: Final = 30 * MILLISECOND
 """Between two looks at the position of a drive whose statusword does not show whether it stands."""
@@ -70,6 +74,11 @@ _WITHOUT_SPEED: Final = (Mode.TORQUE, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
 _CAN_BE_ENABLED: Final = (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
 """States from which one controlword leads to Operation enabled (from the first: in drives that take two steps at once)."""
 
+OVERRULED: Final = 3
+"""How often a halt that another master takes back is sent again. Whoever goes on wins, and the error names it."""
+
+_WITH_POWER: Final = "standstill after a halt"
+_WITHOUT_POWER: Final = "standstill without power (it coasts)"
 _SLOWER: Final = 0.02
 """A drive counts as slower if it has lost more than this share of its speed in a step."""
 _OF_ITS_RAMP: Final = 0.25
@@ -102,28 +111,30 @@ def halt(axis: Axis) -> Procedure[None]:
 
 
 def _stop(axis: Axis) -> Procedure[None]:
+    may_move = axis.state in POWERED or may_be_enabled(axis)  # without power by now, it may still coast
     word = STAYS[axis.state] if axis.state in STAYS else (yield from _halt_word(axis))
     yield from command_held(axis, word)  # a SYNC may come before the drive's state is known
     is_told = yield from halt_first(axis)
     try:
-        statusword = yield from read_statusword(axis)
+        statusword = yield from _statusword_now(axis)
     except SdoTransferError as failed:
         if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
             yield from insist(axis, int(Command.QUICK_STOP))
         raise
     state = state_of(statusword)
+    axis.was_enabled = axis.was_enabled or state is State.OPERATION_ENABLED
     if state is State.UNKNOWN:
         state = yield from _next_state(axis)
     if state in _CAN_BE_ENABLED and may_be_enabled(axis):
         state = yield from _late_state(axis)
     if state is State.OPERATION_ENABLED:
         if not is_told:
-            yield from insist(axis, (yield from _halt_word(axis)))
+            yield from _send_halt(axis)
     elif state is State.QUICK_STOP_ACTIVE and may_be_enabled(axis):
         yield from insist(axis, int(Command.QUICK_STOP))
     else:
         yield from command_held(axis, STAYS[state] if state in STAYS else (yield from _halt_word(axis)))
-        if state not in POWERED:
+        if state not in POWERED and not may_move:
             return
     try:
         yield from _wait_for_standstill(axis)
@@ -145,8 +156,31 @@ def halt_first(axis: Axis) -> Procedure[bool]:
         statusword = yield from _statusword_soon(axis)
     is_enabled = may_be if statusword is None else state_of(statusword) is State.OPERATION_ENABLED
     if is_enabled:
-        yield from insist(axis, (yield from _halt_word(axis)))
+        yield from _send_halt(axis)
     return is_enabled
+
+
+def _send_halt(axis: Axis) -> Procedure[None]:
+    """Send the word that halts the drive. If another master has disturbed its answer, the drive shows whether it came."""
+    try:
+        yield from insist(axis, (yield from _halt_word(axis)))
+    except SdoTransferError as failed:
+        if failed.origin is not AbortOrigin.CONTESTED:
+            raise
+
+
+def _statusword_now(axis: Axis) -> Procedure[int]:
+    """Return the statusword, as `read_statusword`; a read waits for no other transfer."""
+    node = axis.node
+    statusword = axis.fresh_statusword((yield from current_time()))
+    if statusword is not None:
+        return statusword
+    outcome = yield from urgent_request(node, lambda now: node.read(objects.STATUSWORD, now, urgent=True))
+    if not isinstance(outcome, SdoUploaded):
+        assert isinstance(outcome, SdoAborted)
+        raise SdoTransferError(outcome, "reading")
+    value_of(node, node.dictionary.variable(objects.STATUSWORD), outcome)
+    return axis.statusword
 
 
 def _statusword_soon(axis: Axis) -> Procedure[int | None]:
@@ -204,10 +238,15 @@ def _next_state(axis: Axis) -> Procedure[State]:
 def _halt_word(axis: Axis) -> Procedure[int]:
     """Return the word that halts a drive which shows Operation enabled.
 
-    Bit 8 comes with the command to enable. A drive that another stop has just told to leave Operation enabled, and that has not
-    shown it yet, would be led back by it: it gets the word of that stop once more.
+    Bit 8 comes with the command to enable. A drive that another stop, or another master, has just told to leave Operation
+    enabled, and that has not shown it yet, would be led back by it: it gets that word once more.
     """
     told_at, word = axis.commanded_at, axis.commanded
+    foreign = last_foreign(axis, objects.CONTROLWORD)
+    if foreign is not None and foreign.time >= (told_at or 0) and not enables_operation(foreign.value):
+        assert isinstance(foreign.value, int)
+        if (yield from current_time()) - foreign.time < axis.reaction_time:
+            return foreign.value & COMMAND_BITS & ~ControlBit.FAULT_RESET
     # A write past the axis that was not confirmed may have come behind it
     is_last = not any(map(enables_operation, axis.node.may_hold(objects.CONTROLWORD) - {axis.controlword}))
     if told_at is not None and is_last and word & COMMAND_BITS in STAYS.values():
@@ -268,9 +307,11 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
     except TakenOverError:
         yield from forget()
         raise
-    except ProcedureError:
+    except ProcedureError as failed:
         yield from forget()
         yield from halt(axis)
+        if is_loss(failed):
+            raise  # it stands now, but not because it was halted
     else:
         yield from forget()
 
@@ -280,29 +321,52 @@ def coast_down(axis: Axis) -> Procedure[None]:
 
     Without a position, no power counts as standstill. Raises StepTimeoutError as `halt`, if the axis does not get slower.
     """
-    yield from _wait_for_standstill(axis, coasts=True)
+    yield from _wait_for_standstill(axis)
 
 
-def _wait_for_standstill(axis: Axis, *, coasts: bool = False) -> Procedure[None]:
-    """coasts: a drive without power may move."""
+def _wait_for_standstill(axis: Axis) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     began = yield from current_time()
     before: float | None = None
+    left = OVERRULED
     while True:
         yield from ask_for_time(timeout + SECOND)  # as long as the drive answers and slows down
-        judge = _Standstill(axis, began, coasts)
+        judge = _Standstill(axis, began, minds_others=left > 0)
         try:
-            yield from judge.watch.until(judge.judge, timeout)
-            return
-        except StepTimeoutError:
+            if (yield from judge.watch.until(judge.judge, timeout)):
+                return
+        except StepTimeoutError as failed:
             if judge.may_obey_late:
                 continue
-            if before is None:
-                before = judge.top_speed  # not the speed at the beginning: the drive may just have accelerated
-            now = yield from _speed(axis)
-            if before is None or now is None or not (yield from _has_slowed(axis, before, now)):
-                raise
-            before = now
+            word = yield from _other_word(axis)
+            if word is None or not left:
+                if before is None:
+                    before = judge.top_speed  # not the speed at the beginning: the drive may just have accelerated
+                now = yield from _speed(axis)
+                if before is not None and now is not None and (yield from _has_slowed(axis, before, now)):
+                    before = now
+                    continue
+                if word is None or not isinstance(failed, DriveTimeoutError):
+                    raise
+                view = replace(view_of(axis), controlword=word)
+                text = f"did not reach {judge.watch.goal} within {timeout / SECOND:g} s"
+                raise DriveTimeoutError(axis, text, view=view) from failed
+        left -= 1
+        yield from _send_halt(axis)
+
+
+def _other_word(axis: Axis) -> Procedure[int | None]:
+    """Return the controlword of a drive that lets it run; None if it halts it, or takes its power, or if it cannot be told."""
+    if axis.state is not State.OPERATION_ENABLED or axis.node.rpdo_of(objects.CONTROLWORD) is not None:
+        return None  # some drives do not show in 0x6040 what came by PDO
+    word = yield from read_number(axis.node, objects.CONTROLWORD)
+    return word if word is not None and _runs(word) else None
+
+
+def _runs(controlword: int) -> bool:
+    """Return whether a controlword lets an enabled drive run. Against one that takes the power no halt is sent: it comes with
+    the command to enable."""
+    return enables_operation(controlword) and not controlword & ControlBit.HALT
 
 
 class _Standstill:
@@ -314,8 +378,8 @@ class _Standstill:
     that it moves, or `reaction_time` after the halt: bit 10 may be left from before (as "target velocity reached").
     """
 
-    def __init__(self, axis: Axis, began: Time, coasts: bool) -> None:
-        """began: when the drive was told to halt. coasts: a drive without power is judged by its position."""
+    def __init__(self, axis: Axis, began: Time, *, minds_others: bool) -> None:
+        """began: when the drive was told to halt. minds_others: see `judge`."""
         reads = {
             objects.MODES_OF_OPERATION_DISPLAY: FRESH,
             objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
@@ -324,20 +388,19 @@ class _Standstill:
         if axis.mode == Mode.VELOCITY:  # frequency converters need not have a position
             reads[objects.VL_VELOCITY_ACTUAL_VALUE] = FRESH
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
-        goal = "standstill without power (it coasts)" if coasts else "standstill after a halt"
-        self.watch: DriveWait[bool] = DriveWait(axis, goal, accept_fault=True, reads=present, looks=False)
+        self.watch: DriveWait[bool] = DriveWait(axis, _WITH_POWER, accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self.may_obey_late = False  # its bits show that it stands, and it is too soon to believe them
         self._axis = axis
         self._began = began
-        self._coasts = coasts
+        self._minds_others = minds_others
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_moving = False  # as its bits showed
         self._looked_at: Time = -NEVER
         self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
 
     def judge(self, statusword: int, heard_at: Time) -> bool | None:
-        """Return True if the drive stands, None if it is not certain."""
+        """Return True if the drive stands, False if another master has taken the halt back, None if it is not certain."""
         self._look()
         self.may_obey_late = False
         state = state_of(statusword)
@@ -347,8 +410,11 @@ class _Standstill:
             objects.POSITION_ACTUAL_VALUE in self._axis.node.dictionary
             and self.watch.refusal(objects.POSITION_ACTUAL_VALUE) is None
         )
+        self.watch.goal = _WITH_POWER if state in POWERED else _WITHOUT_POWER
         if state not in POWERED:
-            return not (self._coasts and has_position) or self._is_at_one_place() or None
+            return not has_position or self._is_at_one_place() or None
+        if self._minds_others and state is State.OPERATION_ENABLED and self._is_overruled():
+            return False
         if self._is_schunk:
             stands = not statusword & StatusBit.MANUFACTURER_8
         elif not self._knows(objects.MODES_OF_OPERATION_DISPLAY):
@@ -366,6 +432,13 @@ class _Standstill:
         has_obeyed = self._was_moving or heard_at - since >= self._axis.reaction_time
         self.may_obey_late = not has_obeyed and not has_position
         return (has_obeyed and (not has_position or self._is_at_one_place())) or None
+
+    def _is_overruled(self) -> bool:
+        """Return whether a controlword of another master that lets the drive run was heard since ours."""
+        heard, ours = last_foreign(self._axis, objects.CONTROLWORD), self._axis.commanded_at
+        if heard is None or ours is None or heard.time < ours:
+            return False
+        return isinstance(heard.value, int) and _runs(heard.value)
 
     def _knows(self, mux: Mux) -> bool:
         """Return whether the object was heard, or will never be."""

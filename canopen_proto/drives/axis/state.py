@@ -9,9 +9,17 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
 from canopen_proto.drives.axis.digital_io import return_brake
 from canopen_proto.drives.axis.exclusive_motion import moves, stops
-from canopen_proto.drives.axis.failures import DriveTimeoutError, ModeUnsupportedError, as_drive_errors, fault_of, state_lost
+from canopen_proto.drives.axis.failures import (
+    DriveTimeoutError,
+    ModeUnsupportedError,
+    as_drive_errors,
+    fault_of,
+    state_lost,
+    taken_down,
+)
 from canopen_proto.drives.axis.halting import halt, halt_after, may_be_enabled
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES
+from canopen_proto.drives.axis.view import is_taken_down
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axis_of
@@ -45,10 +53,10 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
     """Lead the drive to the state `target`, one command after the other; return the statusword.
 
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLostError for a drive that goes
-    down when it is led up, or reaches a state twice: something else commands it. Raises DriveInFaultError, DriveLostError,
-    StepTimeoutError, SdoTransferError. On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master.
-    On the way to any other state, the drive first gets its brake back if this master has opened it. To Operation enabled it
-    counts as a motion, else as a stop, see exclusive_motion.py.
+    down when it is led up, reaches a state twice, or was disabled since the motion began: something else commands it. Raises
+    DriveInFaultError, DriveLostError, StepTimeoutError, SdoTransferError. On the way to Operation enabled, `axis.watchdog` first
+    makes the drive watch its master. On the way to any other state, the drive first gets its brake back if this master has opened
+    it. To Operation enabled it counts as a motion, else as a stop, see exclusive_motion.py.
     """
     lead = _change_state_up if target is State.OPERATION_ENABLED else _change_state_down
     return (yield from lead(axis, target))
@@ -72,6 +80,8 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
         if state in FAULT_STATES:
             raise (yield from fault_of(axis, f"and cannot go to {target}"))
         goes_up = _POWER.get(target, 0) > _POWER.get(state, 0)
+        if target is State.OPERATION_ENABLED and is_taken_down(axis):
+            raise taken_down(axis)
         if state in seen or (goes_up and seen and _POWER.get(state, 0) < _POWER.get(seen[-1], 0)):
             raise state_lost(axis, state, str(target))
         seen.append(state)

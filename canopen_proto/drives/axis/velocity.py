@@ -266,7 +266,25 @@ class _Run:
             ramp = yield from self._halt_ramp_of_vl()
         if not ramp:
             return speed * (delay + settings.halt_time / SECOND)
-        return speed * delay + speed * speed / (2 * ramp * self._ramp_unit)
+        return speed * (delay + (yield from self._time_of_ramp(speed, ramp)) / 2)
+
+    def _time_of_ramp(self, speed: float, ramp: float) -> Procedure[float]:
+        """Return how long the drive takes from rest to a speed (counts per second), or back, in s. ramp: in its unit.
+
+        A profile with limited jerk (0x6086 is not 0) takes longer than its ramp: by the time in which its acceleration grows and
+        goes (0x60A4; its unit is that of the ramp, per second). Of one that tells no jerk, twice the time of the ramp is taken.
+        """
+        time = speed / (ramp * self._ramp_unit)
+        if self._mode is not Mode.PROFILE_VELOCITY or not (
+            yield from read_if_present(self._axis.node, objects.MOTION_PROFILE_TYPE)
+        ):
+            return time
+        told = yield from _pair(self._axis, objects.PROFILE_JERK)
+        jerk = min((each for each in told if each > 0), default=0)
+        if not jerk:
+            return 2 * time
+        growth = ramp / jerk
+        return time + growth if time >= growth else 2 * math.sqrt(time * growth)
 
     def _halt_ramp_of_vl(self) -> Procedure[float | None]:
         """Return the deceleration with which the drive halts (0x605D) in vl, in its unit; None if it does not tell."""
@@ -354,11 +372,11 @@ class _Run:
         axis = self._axis
         if self._mode is Mode.PROFILE_VELOCITY:
             rate = yield from read_if_present(axis.node, objects.PROFILE_ACCELERATION)
-            ramp = rate * self._ramp_unit if isinstance(rate, int) else 0.0
+            ramp = float(rate) if isinstance(rate, int) else 0.0
         else:
             change, time = yield from _pair(axis, objects.VL_VELOCITY_ACCELERATION)
-            ramp = change / time * self._ramp_unit if change and time else 0.0
-        slope = abs(self._number * self._unit) / ramp if ramp else 0.0
+            ramp = change / time if change and time else 0.0
+        slope = (yield from self._time_of_ramp(abs(self._number * self._unit), ramp)) if ramp else 0.0
         return axis.settings.reaction_time + axis.settings.state_timeout + round(slope * SECOND)
 
     def _keep_limits(self, watch: DriveWait[bool], statusword: int, heard_at: Time) -> None:

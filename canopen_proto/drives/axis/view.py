@@ -7,22 +7,23 @@ part of it: see `ForeignCommand`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
-from canopen_proto.dictionary import Direction
+from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import describe_command, describe_status, mode_name
-from canopen_proto.drives.cia402.states import COMMAND_BITS, ControlBit, State, state_of
+from canopen_proto.drives.cia402.states import COMMAND_BITS, ControlBit, State, enables_operation, state_of
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.foreign_writes import ForeignWrite
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, routing_key
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.slots import described_pdos
-from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
 """A command of another master that is older than this explains nothing."""
@@ -109,6 +110,8 @@ def view_of(axis: Axis) -> DriveView:
     """Return what was heard from a drive, and what it was commanded; nothing is read."""
     producer = axis.node.rpdo_of(objects.CONTROLWORD)
     commanded = None if axis.commanded_at is None else axis.controlword
+    if commanded is not None and axis.commanded in axis.node.may_hold(objects.CONTROLWORD):
+        commanded = axis.commanded  # also one that the drive has not confirmed
     return DriveView(
         axis.statusword,
         mode=axis.mode,
@@ -140,19 +143,19 @@ def _if_shown(axis: Axis, bit: DriveBit | None) -> DriveBit | None:
 def _foreign_command(axis: Axis) -> ForeignCommand | None:
     """Return the last command of another master that came after ours, contradicts it, and is not older than RECENT; else None.
 
-    Nothing contradicts a command that we have not sent.
+    A controlword that disables the drive contradicts the motion under way. Else nothing contradicts a command that we have not
+    sent.
     """
-    node, foreign = axis.node, axis.remote.foreign_writes
+    node = axis.node
     now = max(node.heard_at.values(), default=-NEVER)
-    others = _described(axis.remote) if foreign.unknown else {}
     found: list[tuple[ForeignWrite, str]] = []
-    word = foreign.last(node.on_device(objects.CONTROLWORD), others)
-    if word is not None and axis.commanded_at is not None and word.time >= axis.commanded_at:
+    word = last_foreign(axis, objects.CONTROLWORD)
+    if word is not None and (_is_disabling(axis, word) or (axis.commanded_at is not None and word.time >= axis.commanded_at)):
         if not isinstance(word.value, int):
             found.append((word, "sent it a controlword"))
-        elif (word.value ^ axis.controlword) & COMPARED:
+        elif _is_disabling(axis, word) or (word.value ^ axis.controlword) & COMPARED:
             found.append((word, f"commanded {command_text(word.value)}"))
-    selected = foreign.last(node.on_device(objects.MODES_OF_OPERATION), others)
+    selected = last_foreign(axis, objects.MODES_OF_OPERATION)
     is_later = selected is not None and axis.selected_at is not None and selected.time >= axis.selected_at
     if selected is not None and is_later and selected.value != axis.selected_mode:
         name = mode_name(selected.value) if isinstance(selected.value, int) else "a mode"
@@ -165,9 +168,28 @@ def _foreign_command(axis: Axis) -> ForeignCommand | None:
     return ForeignCommand(words, max(0, now - time), source)
 
 
-def _described(node: RemoteNode) -> dict[RoutingKey, Mapping]:
-    """Return the RPDOs that the node's dictionary knows: those of its file, else those of PDOs.csv."""
-    dictionary, node_id = node.dictionary, node.node_id
+def last_foreign(axis: Axis, mux: Mux) -> ForeignWrite | None:
+    """Return the last write of an object by another master, as far as its frames are understood; None if there was none."""
+    foreign = axis.remote.foreign_writes
+    others = _described(axis.remote.dictionary, axis.remote.node_id) if foreign.unknown else {}
+    return foreign.last(axis.node.on_device(mux), others)
+
+
+def is_taken_down(axis: Axis) -> bool:
+    """Return whether somebody else has disabled the drive since the motion under way began: it left Operation enabled, or another
+    master was heard that commanded it to."""
+    word = last_foreign(axis, objects.CONTROLWORD)
+    return axis.was_taken_down or (word is not None and _is_disabling(axis, word))
+
+
+def _is_disabling(axis: Axis, word: ForeignWrite) -> bool:
+    """Return whether a controlword of another master disables the drive, and came since the motion under way began."""
+    return word.time >= axis.motion_began and not enables_operation(word.value)
+
+
+@lru_cache(maxsize=32)
+def _described(dictionary: ObjectDictionary, node_id: int) -> dict[RoutingKey, Mapping]:
+    """Return the RPDOs that a node's dictionary knows: those of its file, else those of PDOs.csv. Kept: each look asks."""
     found = {
         routing_key(each.can_id(node_id)): Mapping.from_description(each)
         for each in dictionary.pdos

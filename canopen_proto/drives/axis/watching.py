@@ -18,7 +18,17 @@ from typing import Final, Generic, TypeVar
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import as_drive_errors, fault_of, is_loss_of, late, mode_lost, node_lost, state_lost
+from canopen_proto.drives.axis.failures import (
+    as_drive_errors,
+    fault_of,
+    is_loss_of,
+    late,
+    mode_lost,
+    node_lost,
+    state_lost,
+    taken_down,
+)
+from canopen_proto.drives.axis.view import is_taken_down
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
@@ -44,6 +54,7 @@ def read_statusword(axis: Axis) -> Procedure[int]:
     statusword = axis.fresh_statusword(now)
     if statusword is None:
         statusword = yield from read_int(axis.node, objects.STATUSWORD)
+    axis.was_enabled = axis.was_enabled or state_of(statusword) is State.OPERATION_ENABLED
     return statusword
 
 
@@ -157,12 +168,15 @@ class DriveWait(Generic[T]):
             return None
         statusword = axis.statusword
         state = state_of(statusword)
+        axis.was_enabled = axis.was_enabled or state is State.OPERATION_ENABLED
         if state in FAULT_STATES and not self._accept_fault:
             raise (yield from fault_of(axis, f"while waiting for {self.goal}"))
         if self._stays is not None and state is not self._stays:
             if state is State.UNKNOWN:
                 return None  # no state at all: the next statusword will show one
             raise state_lost(axis, state, self.goal)
+        if self._stays is State.OPERATION_ENABLED and axis.occupancy.occupant is not None and is_taken_down(axis):
+            raise taken_down(axis)  # a word of ours may have crossed the other master's on the bus, and have enabled it again
         if self._mode is not None and _MODE in axis.node.heard_at and axis.mode != self._mode:
             raise mode_lost(axis, self._mode, self.goal)
         result = judge(statusword, heard_at)
