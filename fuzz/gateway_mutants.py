@@ -59,8 +59,11 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "what_is_left_takes_the_place_of_all",
             _HISTORY,
-            "            del self._hours[key]  # first: if",
-            "            while len(parts) > 1:\n                parts[0].unlink()\n                del parts[0]\n            del self._hours[key]  # if",
+            "            del self._hours[key]  # first:",
+            (
+                "            while len(parts) > 1:\n                parts[0].unlink()\n                parts.pop(0)\n"
+                "            del self._hours[key]  # first:"
+            ),
             "a file of an hour cannot be removed: the others are put together again, without those that were removed before",
             HISTORY,
         ),
