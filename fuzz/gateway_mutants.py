@@ -28,6 +28,7 @@ TRAFFIC: Final = ("tests/gateway/test_traffic.py",)
 LIVE: Final = ("tests/gateway/test_web_live.py",)
 TUI: Final = ("tests/cli/test_tui.py",)
 HISTORY: Final = ("tests/gateway/test_history.py",)
+LIFETIMES: Final = ("tests/gateway/test_lifetimes.py",)
 
 _GUARD: Final = "canopen_gateway/guard.py"
 _LEASE: Final = "canopen_gateway/lease.py"
@@ -48,6 +49,22 @@ _LSS: Final = "canopen_gateway/layer_settings.py"
 GATEWAY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "an_ear_stays",
+            _SERVICE,
+            "        for net, ear in self._ears.items():\n            self.service.detach(net, ear)\n",
+            "",
+            "each client that has come and gone is still heard for: a gateway becomes slower from week to week",
+            LIFETIMES,
+        ),
+        (
+            "a_watcher_stays",
+            "canopen_master/participant/participant.py",
+            "        self._dispatcher.unwatch(watcher)\n",
+            "        pass\n",
+            "each subscription stays for ever",
+            LIFETIMES,
+        ),
         (
             "an_hour_comes_again",
             _HISTORY,
