@@ -27,6 +27,8 @@ WEB: Final = ("tests/gateway/test_web_guard.py",)
 TRAFFIC: Final = ("tests/gateway/test_traffic.py",)
 LIVE: Final = ("tests/gateway/test_web_live.py",)
 TUI: Final = ("tests/cli/test_tui.py",)
+HISTORY: Final = ("tests/gateway/test_history.py",)
+LIFETIMES: Final = ("tests/gateway/test_lifetimes.py",)
 
 _GUARD: Final = "canopen_gateway/guard.py"
 _LEASE: Final = "canopen_gateway/lease.py"
@@ -38,6 +40,7 @@ _CONNECTION: Final = "canopen_gateway/ascii/connection.py"
 _FLEET: Final = "canopen_gateway/fleet"
 _SUBJECT: Final = "canopen_gateway/web/fleet_subject.py"
 _PICTURE: Final = "canopen_gateway/web/fleet_picture.py"
+_HISTORY: Final = "canopen_gateway/history/writer.py"
 
 LSS: Final = ("tests/gateway/test_ascii_lss.py",)
 
@@ -46,6 +49,41 @@ _LSS: Final = "canopen_gateway/layer_settings.py"
 GATEWAY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "an_ear_stays",
+            _SERVICE,
+            "        for net, ear in self._ears.items():\n            self.service.detach(net, ear)\n",
+            "",
+            "each client that has come and gone is still heard for: a gateway becomes slower from week to week",
+            LIFETIMES,
+        ),
+        (
+            "a_watcher_stays",
+            "canopen_master/participant/participant.py",
+            "        self._dispatcher.unwatch(watcher)\n",
+            "        pass\n",
+            "each subscription stays for ever",
+            LIFETIMES,
+        ),
+        (
+            "an_hour_comes_again",
+            _HISTORY,
+            "self.run if hour >= self._over else _new_word(self.clock())",
+            "self.run",
+            "the clock is set back: what is written then is hidden by the file of that hour, and takes its place later",
+            HISTORY,
+        ),
+        (
+            "what_is_left_takes_the_place_of_all",
+            _HISTORY,
+            "            del self._hours[key]  # first:",
+            (
+                "            while len(parts) > 1:\n                parts[0].unlink()\n                parts.pop(0)\n"
+                "            del self._hours[key]  # first:"
+            ),
+            "a file of an hour cannot be removed: the others are put together again, without those that were removed before",
+            HISTORY,
+        ),
         (
             "two_are_selected",
             _LSS,

@@ -34,6 +34,22 @@ MASTER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
         (
+            "an_arm_wakes_up",
+            _LATE_SYNC,
+            "        if late > self._too_late:\n",
+            "        if False:\n",
+            "a laptop that slept for an hour is opened, and the arm goes on with its path by itself",
+            STALLS,
+        ),
+        (
+            "an_arm_wakes_up_on_linux",
+            "canopen_master/participant/participant.py",
+            "        due -= self._slept()\n",
+            "",
+            "the same where the clock stands still while the computer sleeps: nothing is late",
+            STALLS,
+        ),
+        (
             "old_foreign_command",
             "canopen_master/silence.py",
             "or command.time <= since:",

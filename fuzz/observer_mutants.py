@@ -27,6 +27,7 @@ _PATTERNS: Final = "testing/patterns.py"
 _RECORD: Final = "canopen_transports/record.py"
 _CAPTURES: Final = "canopen_transports/capture_files.py"
 _LIVE: Final = "canopen_cli/live"
+RECORD: Final = ("tests/cli/test_log_data.py",)
 
 OBSERVER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -108,18 +109,42 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "record_hides_overruns",
             f"{_LIVE}/log_record.py",
-            "            self._writer.lost(*self._last)\n",
-            "            pass\n",
+            "                self._writer.lost(*self._last)\n",
+            "                pass\n",
             "a recording does not say where it lacks frames",
             LOSSES,
         ),
         (
             "record_overwrites",
             f"{_LIVE}/log_record.py",
-            "        while path.exists():\n",
-            "        while number > 9:\n",
+            "    while found.exists():\n",
+            "    while number > 9:\n",
             "the hour that comes twice at the end of summer time takes the place of the first one",
-            ("tests/cli/test_log_data.py",),
+            RECORD,
+        ),
+        (
+            "record_into_no_file",
+            f"{_LIVE}/log_record.py",
+            "        if _identity(part.path) == self._is:\n",
+            "        if True:\n",
+            "the file is removed or renamed, and what is recorded from then on is in no file",
+            RECORD,
+        ),
+        (
+            "record_waits_for_the_old_clock",
+            f"{_LIVE}/log_record.py",
+            "not self._begins <= time < self._ends",
+            "not time < self._ends",
+            "the clock is set back by a day: no new file begins for a day",
+            RECORD,
+        ),
+        (
+            "record_of_another_day",
+            f"{_LIVE}/clocks.py",
+            "        if abs(zero - self.zero) > SET:\n",
+            "        if False:\n",
+            "a recorder that began before the clock was set, or whose computer slept, has wrong dates for weeks",
+            RECORD,
         ),
         (
             "convert_hides_overruns",

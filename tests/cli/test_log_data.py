@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import csv
 import datetime
+import errno
+import json
 from pathlib import Path
 
 import pytest
+import trio
+from trio.testing import MockClock
 
+from canopen_cli.live.clocks import SystemClock
 from canopen_cli.live.log_export import clock_text
 from canopen_cli.live.log_record import _Files
+from canopen_cli.live.source import _BusSource
 from canopen_cli.shared.problem import ExitCode
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND
+from canopen_transports import VirtualTransport
+from canopen_transports.candump_text import CandumpWriter
 from canopen_transports.log_files import LogReader
 from canopen_transports.record import Record
 from tests.cli.cli_support import Run, runner_in_folder
@@ -190,6 +198,93 @@ def test_one_file_after_the_other_and_the_oldest_goes(run: Run) -> None:
     assert len(files) == 2
     assert all(list(LogReader(each)) for each in files)
     assert not Path("new.log").exists()
+
+
+def test_only_frames_in_files_that_are_there_are_counted(run: Run) -> None:
+    outcome = run("log", "record", "new.log", "-b", "demo", "--for", "6s", "--rotate", "1s", "--keep", "2", "--json")
+    assert outcome.json["frames"] == sum(len(list(LogReader(Path(each)))) for each in outcome.json["files"])
+
+
+def _recorded(files: _Files, *seconds: float) -> None:
+    for second in seconds:
+        files.write(Record(round((BEGIN + second) * SECOND), "can0", Frame(0x100)))
+
+
+def test_a_file_that_was_taken_away_begins_anew(run: Run) -> None:
+    """Somebody tidies up, or logrotate renames: what is written into a file without a name is in no file, for weeks."""
+    told: list[str] = []
+    files = _Files(Path("new.log"), None, None, told.append)
+    _recorded(files, 0, 1)
+    Path("new.log").unlink()
+    _recorded(files, 2, 11, 12)
+    Path("new.log").rename("old.log")
+    Path("new.log").write_text("of somebody else")
+    _recorded(files, 13, 25)
+    files.close()
+    assert [len(list(LogReader(Path(each)))) for each in ("old.log", "new-2.log")] == [3, 1]
+    assert Path("new.log").read_text() == "of somebody else"
+    assert (files.frames, files.written) == (1, [Path("new-2.log")])
+    assert told == [f"new.log was taken away, with {count} frames; a new file begins" for count in (3, 3)]
+
+
+def test_a_file_whose_clock_was_set_back_does_not_wait_for_its_end(run: Run) -> None:
+    files = _Files(Path("new.log"), 2 * SECOND, None)
+    _recorded(files, 7200, 7201, 0, 1, 2)
+    files.close()
+    assert [len(list(LogReader(each))) for each in files.written] == [2, 2, 1]
+
+
+def test_a_file_that_cannot_be_deleted_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    files = _Files(Path("new.log"), SECOND, 1, told.append)
+
+    def unlink(path: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "unlink", unlink)
+    _recorded(files, 0, 1)
+    files.close()
+    assert [text.partition(", ")[2] for text in told] == ["and cannot be deleted: Permission denied"]
+
+
+@pytest.mark.parametrize("room", [3, 40])
+def test_a_full_disk_is_told_with_the_file_and_what_is_in_it(run: Run, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+    written: list[Record] = []
+
+    def write(writer: CandumpWriter, record: Record) -> None:
+        if len(written) == room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written.append(record)
+
+    monkeypatch.setattr(CandumpWriter, "write", write)
+    outcome = run("log", "record", "new.log", "-b", "demo", "--for", "60s", "--json")
+    assert outcome.status == ExitCode.BAD_FILE
+    error = json.loads(outcome.err.splitlines()[-1])
+    assert error["message"] == "cannot write new.log"
+    assert error["seen"] == f"No space left on device; {room} frames were written before: new.log"
+
+
+def test_a_recording_of_weeks_has_the_time_of_day(run: Run) -> None:
+    """The clock of a small computer is set once the network is there; a laptop sleeps for an hour."""
+    system, own = 5 * SECOND, 5 * SECOND
+    clock = SystemClock(lambda: system, lambda: own)
+
+    async def main() -> list[int]:
+        nonlocal system, own
+        times = []
+        async with VirtualTransport("dated") as wire, VirtualTransport("dated") as ours:
+            source = _BusSource("dated", "virtual:dated", ours, clock)
+            zero = round(trio.current_time() * SECOND)
+            for set_to in (None, BEGIN * SECOND, BEGIN * SECOND + SECOND // 2, BEGIN * SECOND - 3600 * SECOND):
+                system = system if set_to is None else set_to
+                await wire.send(Frame(0x100))
+                (heard,) = await source.take()
+                assert isinstance(heard, Record)
+                times.append(heard.time - zero + own)
+        return times
+
+    times = trio.run(main, clock=MockClock())
+    assert times == [5 * SECOND, BEGIN * SECOND, BEGIN * SECOND, BEGIN * SECOND - 3600 * SECOND]
 
 
 def test_what_cannot_be_recorded(run: Run) -> None:

@@ -122,6 +122,54 @@ def test_an_hour_becomes_one_file_once_it_is_over(tmp_path: Path) -> None:
     assert asked(tmp_path, "SELECT count(*) FROM samples") == [(7,)]
 
 
+def test_an_hour_that_comes_again_takes_nothing_from_the_first(tmp_path: Path) -> None:
+    """The clock of the recorder is set back, twice, to hours that have been put together."""
+    clock, number = Clock(), 0
+    writer = HistoryWriter(tmp_path, clock=clock)
+    for _ in range(3):
+        for _ in range(2):
+            writer.add(FIVE, sample(clock.now, number))
+            writer.write(writer.take())
+            writer.put_together()
+            number += 1
+            assert asked(tmp_path, "SELECT integer FROM samples ORDER BY integer") == [(each,) for each in range(number)]
+            clock.now += SECOND
+        clock.now += NS_OF_HOUR
+        writer.put_together()
+        clock.now -= NS_OF_HOUR + 2 * SECOND
+    writer.put_together(last=True)
+    assert asked(tmp_path, "SELECT integer FROM samples ORDER BY integer") == [(each,) for each in range(number)]
+    assert sorted(each.part for each in files_in(tmp_path)[0] if each.place == FIVE) == ["all"] * 3
+
+
+def test_files_of_an_hour_that_cannot_be_removed_are_not_put_together_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody reads one of them, on Windows. What had been removed before would be missing from the new `-all`."""
+    clock = Clock()
+    writer = HistoryWriter(tmp_path, clock=clock)
+    for number in range(4):
+        writer.add(FIVE, sample(clock.now + number, number))
+        writer.write(writer.take())
+    clock.now += NS_OF_HOUR
+    removed: list[Path] = []
+
+    def unlink(path: Path) -> None:
+        if len(removed) == 2:
+            raise PermissionError(13, "it is open", str(path))
+        if path.is_relative_to(tmp_path / "hall"):
+            removed.append(path)
+        os.unlink(path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", unlink)
+        with pytest.raises(PermissionError):
+            writer.put_together()
+    writer.write(writer.take())
+    writer.put_together()
+    assert asked(tmp_path, "SELECT integer FROM samples ORDER BY integer") == [(0,), (1,), (2,), (3,)]
+
+
 class Killed(BaseException):
     """The process is gone: nothing in it runs any more."""
 

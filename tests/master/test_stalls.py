@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import AsyncIterator, Sequence
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 
 import pytest
+import trio
+import trio.testing
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_master import Chain, ChainFaultError, ChainHaltedError
+from canopen_master import Chain, ChainFaultError, ChainHaltedError, Master
 from canopen_master.motion.late_sync import WithinReach
+from canopen_master.participant.sleeping import SleepWatch, sleep_watch
 from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.machine import SECOND
 from canopen_proto.simulation.drive.answers import Answer
 from tests.examples import examples
 from tests.loops import jump, loop
@@ -361,3 +366,102 @@ def test_sync_that_is_started_again_lets_no_joint_jump(gap: float, looks: bool) 
             assert largest[0] <= SPEED
 
     run()
+
+
+async def follow_path(arm: Chain) -> None:
+    await arm.follow(PATH)
+
+
+async def stream_on(arm: Chain) -> None:
+    async with arm.stream() as targets:
+        while True:
+            targets.aim_at(WAYS)
+            await loop.sleep(0.005)
+
+
+async def loop_on(arm: Chain) -> None:
+    async for cycle in arm.cycles():
+        arm.set_positions([way * min(1.0, cycle.time) for way in WAYS])
+
+
+async def stand(arm: Chain) -> None:
+    async for _ in arm.cycles():
+        arm.hold()
+
+
+def jumps(master: Master, seconds: float) -> None:
+    """On Windows, or in a virtual machine that was held."""
+    stall(seconds)
+
+
+def sleeps(master: Master, seconds: float) -> None:
+    """On Linux, whose clock stands still meanwhile. Nothing shows that time has passed: no frame is missing, none is late."""
+    since_boot = [0]
+    master._sleep_watch = SleepWatch(lambda: since_boot[0], lambda: 0)
+    since_boot[0] = round(seconds * SECOND)
+
+
+@pytest.mark.thorough(4)
+@pytest.mark.parametrize("passes", [jumps, sleeps])
+@pytest.mark.parametrize("seconds", [1.2, 3600.0])
+@pytest.mark.parametrize("moves", [follow_path, stream_on, loop_on, stand])
+def test_no_chain_goes_on_by_itself_when_the_computer_has_slept(
+    moves: Callable[[Chain], Awaitable[None]], seconds: float, passes: Callable[[Master, float], None]
+) -> None:
+    """A laptop is opened again: nobody expects the arm to move, and somebody may stand in its way."""
+
+    @virtual_time
+    async def run() -> None:
+        async with arms(2) as (master, [arm], record), watched(record) as largest:
+            if moves is not follow_path:
+                await arm.follow()
+
+            async def fall_asleep() -> None:
+                await loop.sleep(0.5)
+                passes(master, seconds)
+
+            async with loop.open_nursery() as nursery:
+                nursery.start_soon(fall_asleep)
+                with pytest.raises(ChainHaltedError) as halted:
+                    await moves(arm)
+            assert f"no SYNC was sent for {seconds:.1f} s: this program, or its computer, stood still" in str(halted.value)
+            await loop.sleep(1.0)
+            stood = record.rows[-1]
+            await loop.sleep(2.0)
+            assert record.rows[-1] == stood
+            assert largest[0] <= SPEED
+            await arm.follow()
+            await arm.move(WAYS)
+            assert record.rows[-1] == pytest.approx(WAYS, abs=3e-5)
+
+    run()
+
+
+@virtual_time
+async def test_a_sleep_before_the_motion_is_over_when_it_begins() -> None:
+    async with arms(1) as (master, [arm], record):
+        master.sync_stop()
+        sleeps(master, 3600.0)
+        await arm.follow(PATH_OF_ONE)
+        assert record.rows[-1] == pytest.approx([0.6], abs=3e-6)
+
+
+def test_how_long_the_computer_slept() -> None:
+    going_on, standing_still = 5_000, 1_000
+    watch = SleepWatch(lambda: going_on, lambda: standing_still)
+    found = []
+    for both, slept in ((10, 0), (10, 700), (10, 0), (0, -3)):  # the two clocks are read one behind the other
+        going_on, standing_still = going_on + both + slept, standing_still + both
+        found.append(watch.slept())
+    assert found == [0, 700, 0, 0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not have these two clocks")
+def test_the_clocks_of_this_computer_are_watched_in_real_time_alone() -> None:
+    async def watch() -> SleepWatch | None:
+        return sleep_watch()
+
+    found = trio.run(watch)
+    assert found is not None
+    assert found.slept() < SECOND
+    assert trio.run(watch, clock=trio.testing.MockClock()) is None

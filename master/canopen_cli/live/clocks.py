@@ -1,8 +1,12 @@
 """The times of frames as what follows them needs them: they never go back. `FrameClock`: of what is live, and so goes on between
-frames.
+frames. `SystemClock`: the time of day, for a recording.
 """
 
 from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
 
 import trio
 
@@ -13,6 +17,27 @@ from canopen_transports.record import RecordClock
 def trio_now() -> Time:
     """Return the present on trio's clock, ns."""
     return round(trio.current_time() * SECOND)
+
+
+SET: Final = SECOND
+"""The system's clock was set, or the computer slept, if it is further from where it should be. Less is steered, and the times of
+frames stay even."""
+
+
+class SystemClock:
+    """How far the system's clock is from trio's, which nobody sets, and which stands still while a computer sleeps. zero: ns from
+    trio's clock to the system's."""
+
+    def __init__(self, system: Callable[[], Time] = time.time_ns, own: Callable[[], Time] = trio_now) -> None:
+        self._system, self._own = system, own
+        self.zero = system() - own()
+
+    def look(self) -> Time:
+        """Return `zero`, which is another one if the system's clock was set since the last look."""
+        zero = self._system() - self._own()
+        if abs(zero - self.zero) > SET:
+            self.zero = zero
+        return self.zero
 
 
 class RecordClocks:

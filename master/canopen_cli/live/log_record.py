@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -27,6 +29,8 @@ from canopen_transports.record import LogWriter, Record
 
 NAMED: Final = "%Y%m%d-%H%M%S"
 """Of the time in the name of each file, with --rotate."""
+LOOK: Final = 10 * SECOND
+"""How often it is seen to that the file is still there."""
 
 
 @command("record")
@@ -35,7 +39,7 @@ NAMED: Final = "%Y%m%d-%H%M%S"
 @click.option(
     "--rotate", type=Duration(SECOND), help="Begin a new file each time: 1h. Its name has the time: trace-20260301-120000.log."
 )
-@click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files stay; the oldest is deleted.")
+@click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files of this run stay; the oldest is deleted.")
 @lasting()
 def record(
     settings: Settings, screen: Screen, target: Path, wanted: WantedFrames, rotate: Time | None, keep: int | None, seconds: float
@@ -60,15 +64,16 @@ def record(
     if rotate is None:
         check_new_file(settings, screen, target)
     choice = FrameChoice(NodeFiles(settings, screen), wanted)
-    files = _Files(target, rotate, keep)
+    files = _Files(target, rotate, keep, lambda text: screen.say(f"[yellow]{escape(text)}[/]"))
 
     async def listen() -> None:
         try:
             async with time_left(screen, "recording", seconds):
                 with trio.move_on_after(seconds):
                     await _record(settings, screen, choice, files, seconds)
-        finally:
             files.close()
+        finally:
+            files.give_up()
 
     run_until_interrupted(settings, screen, listen)
     if settings.json:
@@ -95,71 +100,145 @@ def record(
     return ExitCode.OK
 
 
+@dataclass
+class _FileOfRun:
+    """A file of a recording, and how many frames are in it."""
+
+    path: Path
+    frames: int = 0
+
+
 class _Files:
     """The file, or one after the other. written: those that are there. frames: in all of them. heard: how many came. lost: how
-    many did not get here, at least."""
+    many did not get here, at least. tell: says what a person has to know."""
 
-    def __init__(self, target: Path, rotate: Time | None, keep: int | None) -> None:
-        self.written: list[Path] = []
-        self.frames = 0
+    def __init__(self, target: Path, rotate: Time | None, keep: int | None, tell: Callable[[str], object] = print) -> None:
         self.heard = 0
         self.left_out = 0
         self.lost = 0
+        self._parts: list[_FileOfRun] = []  # those that are there, the present one last
         self._last: tuple[Time, str] = 0, ""  # of the last frame
         self._target = target
         self._rotate = rotate
         self._keep = keep
+        self._tell = tell
         self._writer: LogWriter | None = None
+        self._is: tuple[int, int] | None = None  # what tells the present file from another one of its name
+        self._begins: float = -math.inf
         self._ends: float = math.inf
+        self._look_at: Time = 0
+
+    @property
+    def written(self) -> list[Path]:
+        return [part.path for part in self._parts]
+
+    @property
+    def frames(self) -> int:
+        return sum(part.frames for part in self._parts)
 
     def write(self, record: Record) -> None:
-        """Write a frame into the file whose time it is. Raises OSError."""
-        if self._writer is None or record.time >= self._ends:
-            self._begin(record.time)
-        assert self._writer is not None
-        self._writer.write(record)
+        """Write a frame into the file whose time it is. Raises CommandError."""
+        try:
+            if self._is_over(record.time):
+                self._begin(record.time)
+            assert self._writer is not None
+            self._writer.write(record)
+        except OSError as error:
+            raise self._failed(error) from error
         self._last = record.time, record.channel
-        self.frames += 1
+        self._parts[-1].frames += 1
 
     def lose(self, count: int) -> None:
         """Take note that frames were lost on their way here, and say so in the present file: who reads it would take what is
-        missing for a fault of a node. Raises OSError."""
+        missing for a fault of a node. Raises CommandError."""
         self.lost += count
         if self._writer is not None:
-            self._writer.lost(*self._last)
+            try:
+                self._writer.lost(*self._last)
+            except OSError as error:
+                raise self._failed(error) from error
+
+    def _is_over(self, time: Time) -> bool:
+        """Return whether a frame of this time belongs into a new file."""
+        if self._writer is None or not self._begins <= time < self._ends:  # before its begin: the clock was set back
+            return True
+        return not self._look_at - LOOK <= time < self._look_at and self._is_away(time)
 
     def _begin(self, time: Time) -> None:
-        self.close()
+        self._end()
         path = self._target
         if self._rotate is not None:
-            path = self._new_path(f"{self._target.stem}-{datetime.datetime.fromtimestamp(time / SECOND).strftime(NAMED)}")
-            self._ends = time + self._rotate
+            path = self._target.with_stem(f"{path.stem}-{datetime.datetime.fromtimestamp(time / SECOND).strftime(NAMED)}")
+            self._begins, self._ends = time, time + self._rotate
+        if self._rotate is not None or self._is is not None:
+            path = _free(path)
         self._writer = log_writer(path)
-        self.written.append(path)
-        while self._keep is not None and len(self.written) > self._keep:
-            with suppress(OSError):  # somebody else has taken it away
-                self.written[0].unlink()
-            del self.written[0]
+        self._is, self._look_at = _identity(path), time + LOOK
+        self._parts.append(_FileOfRun(path))
+        while self._keep is not None and len(self._parts) > self._keep:
+            oldest = self._parts.pop(0).path
+            try:
+                oldest.unlink(missing_ok=True)  # somebody else has taken it away
+            except OSError as error:
+                self._tell(f"{oldest} is one more than --keep, and cannot be deleted: {error.strerror}")
 
-    def _new_path(self, stem: str) -> Path:
-        """Return a path where there is no file yet: an hour may come twice, as at the end of summer time."""
-        path, number = self._target.with_stem(stem), 1
-        while path.exists():
-            number += 1
-            path = self._target.with_stem(f"{stem}-{number}")
-        return path
+    def _is_away(self, time: Time) -> bool:
+        """Return whether somebody has removed or renamed the present file, and say so: what is written into it is not where it is
+        looked for."""
+        self._look_at = time + LOOK
+        part = self._parts[-1]
+        if _identity(part.path) == self._is:
+            return False
+        self._end()
+        self._parts.pop()
+        self._tell(f"{part.path} was taken away, with {counted(part.frames, 'frame')}; a new file begins")
+        return True
 
     def close(self) -> None:
-        """End the present file."""
+        """End the present file. Raises CommandError."""
+        try:
+            self._end()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def give_up(self) -> None:
+        """Close the present file, whether it can be ended or not."""
+        with suppress(OSError):
+            self._end()
+
+    def _end(self) -> None:
         if self._writer is not None:
             writer, self._writer = self._writer, None
             self.left_out += writer.left_out
-            self.frames -= writer.left_out
+            self._parts[-1].frames -= writer.left_out
             writer.close()
+
+    def _failed(self, error: OSError) -> CommandError:
+        """Return the error of a file that could not be written any more."""
+        seen = f"{error.strerror}; {counted(self.frames, 'frame')} were written before: {', '.join(map(str, self.written))}"
+        failed = f"cannot write {self._parts[-1].path if self._parts else self._target}"
+        return CommandError(ExitCode.BAD_FILE, "CO341", failed, seen=seen, tries=("make room, or write elsewhere",))
+
+
+def _free(path: Path) -> Path:
+    """Return a path where there is no file yet: an hour may come twice, as at the end of summer time."""
+    found, number = path, 1
+    while found.exists():
+        number += 1
+        found = path.with_stem(f"{path.stem}-{number}")
+    return found
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files, seconds: float) -> None:
-    async with open_live_source(settings, None) as live:
+    async with open_live_source(settings, None, is_dated=True) as live:
         screen.say(f"[bold]{escape(live.name)}[/], {until_text(seconds)}; nothing is sent")
         buses = Buses(choice.files)
         async for heard in live:

@@ -28,7 +28,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias, cast
 import click
 import trio
 
-from canopen_cli.live.clocks import trio_now
+from canopen_cli.live.clocks import SystemClock, trio_now
 from canopen_cli.live.reading import FileReading
 from canopen_cli.shared.options import DEMO, Settings, option_group
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
@@ -39,6 +39,7 @@ from canopen_transports import open_transport
 from canopen_transports.errors import BusState, BusStateChanged, ReceiveOverrun, Report
 from canopen_transports.locator import parse_bitrate, parse_locator
 from canopen_transports.log_files import LogFileError, LogReader
+from canopen_transports.loop import current_loop
 from canopen_transports.receive_test import NO_WIRE, silently
 from canopen_transports.record import Record
 from canopen_transports.stamp_clock import StampClock
@@ -142,9 +143,12 @@ class LiveSource(ABC):
 
 
 @asynccontextmanager
-async def open_live_source(settings: Settings, source: Path | None, screen: Screen | None = None) -> AsyncIterator[LiveSource]:
+async def open_live_source(
+    settings: Settings, source: Path | None, screen: Screen | None = None, *, is_dated: bool = False
+) -> AsyncIterator[LiveSource]:
     """Open the file, or the bus of the options if there is none, while the block runs. source: - is standard input. screen: where
-    to show how far a file is read; None for a picture that fills the screen.
+    to show how far a file is read; None for a picture that fills the screen. is_dated: times of a bus follow the system's clock
+    where that is set, for a recording of weeks; else time only goes on.
 
     Raises CommandError, TransportError, LogFileError.
     """
@@ -159,7 +163,7 @@ async def open_live_source(settings: Settings, source: Path | None, screen: Scre
         await stack.enter_async_context(transport)
         if bus == DEMO:
             await stack.enter_async_context(simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
-        yield _BusSource(bus, locator, transport)
+        yield _BusSource(bus, locator, transport, SystemClock() if is_dated and current_loop().is_real_time() else None)
 
 
 def rate_of(text: str) -> int:
@@ -214,8 +218,9 @@ def frames_of(reader: LogReader) -> Generator[Record]:
 class _BusSource(LiveSource):
     is_live = True
 
-    def __init__(self, name: str, locator: str, transport: Transport) -> None:
+    def __init__(self, name: str, locator: str, transport: Transport, system: SystemClock | None = None) -> None:
         super().__init__(name)
+        self._system = system
         parsed = parse_locator(locator)
         self.is_silent = silently(parsed) != parsed.text and parsed.interface not in NO_WIRE
         self.bitrate = parsed.bitrate or (transport.bitrate if isinstance(transport, RatedTransport) else None)
@@ -223,11 +228,13 @@ class _BusSource(LiveSource):
         self._transport = transport
         self._batch = transport if isinstance(transport, BatchTransport) else None
         self._is_replay = parsed.interface == "file"
-        self._clock = StampClock(time.time_ns() - trio_now())
+        self._clock = StampClock(time.time_ns() - trio_now() if system is None else system.zero)
 
     async def take(self) -> list[Heard]:
         received = [await self._transport.receive()] if self._batch is None else await self._batch.receive_many(BATCH)
         heard: list[Heard] = []
+        if self._system is not None:
+            self._clock.zero = self._system.look()
         for each in received:
             if isinstance(each, tuple):
                 frame, stamp = each

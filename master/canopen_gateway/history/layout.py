@@ -5,15 +5,16 @@
     DIR/hall-2/arm/0/...                                                      what is known of the bus, and of none of its nodes
     DIR/@recorder/-/0/...                                                     the recorder's own: when it began, and was heard
 
-The hour is that of the recorder's clock, in UTC. The long word is a run of a recorder; several may write to one folder. A file
-that has its name is whole: it was written under another one, brought to the disk, and then renamed. `-all` takes the place of the
-other files of its run in that hour: a reader leaves them out, also where a kill came before they were removed.
+The hour is that of the recorder's clock, in UTC. The long word is a run of a recorder, or what a run has written of an hour that
+came again; several may write to one folder. A file that has its name is whole: it was written under another one, brought to the
+disk, and then renamed. `-all` takes the place of the other files with its word in that hour: a reader leaves them out, also where
+a kill came before they were removed.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -63,11 +64,6 @@ def files_in(folder: Path) -> tuple[list[HistoryFile], list[Path]]:
     whole = {(file.place, file.hour, file.run) for file in found if file.part == ALL}
     kept = [file for file in found if file.part == ALL or (file.place, file.hour, file.run) not in whole]
     return sorted(kept, key=lambda each: (each.place, each.hour, each.run, each.part)), sorted(foreign)
-
-
-def parts_of(folder: Path, place: FleetPlace, hour: str, run: str) -> Sequence[Path]:
-    """Return the numbered files of a run for a place and an hour, in their order."""
-    return sorted(path for path in folder_of(folder, place, hour).glob(f"{run}-*{SUFFIX}") if path.name != name_of(run, ALL))
 
 
 def _files(folder: Path) -> Iterator[Path]:

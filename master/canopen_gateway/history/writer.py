@@ -2,6 +2,7 @@
 
 Rows wait in memory, by place and hour. `take` hands over what waits, and `write` makes a file of each part: under another name,
 brought to the disk, renamed. When an hour is over, its files become one (`-all`), which then takes their place; see layout.py.
+Where the clock is set back, an hour comes again: its files get a word of their own, so that no `-all` takes the place of theirs.
 
 What a kill loses is what waited. What the disk did not take waits on, up to MOST_WAITING rows; then the oldest are dropped and
 counted, and the gap is a row, too.
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from canopen_gateway.fleet.keys import FleetPlace
-from canopen_gateway.history.layout import ALL, HOUR, RECORDER, folder_of, name_of, parts_of
+from canopen_gateway.history.layout import ALL, HOUR, RECORDER, folder_of, name_of
 from canopen_gateway.history.rows import BEGAN, ENDED, GAP, WRITTEN, HistoryRow, schema, table_of
 from canopen_master.motion.record_files import pyarrow_modules
 from canopen_master.whole_file import whole_file
@@ -48,14 +49,16 @@ class HistoryWriter:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.clock = clock
-        now = datetime.fromtimestamp(clock() / 1e9, UTC)
-        self.run = f"{now:%Y%m%dT%H%M%SZ}-{secrets.token_hex(4)}"
+        self.run = _new_word(clock())
         self.rows = self.lost = self.files = self.waiting = 0
         self.is_busy = False
         self._taken = 0  # rows that the thread has
         self._parts = 0
         self._waiting: Waiting = {}
-        self._hours: dict[tuple[FleetPlace, str], int] = {}  # the files of each that are not put together yet
+        self._hours: dict[
+            tuple[FleetPlace, str], tuple[str, list[Path]]
+        ] = {}  # the word and files of each that is not put together
+        self._over = ""  # hours before this one have been put together
         self._hour = (0, "")
         self._lost_before = 0
         self.add(RECORDER, HistoryRow(clock(), BEGAN, text=self.run))
@@ -110,24 +113,26 @@ class HistoryWriter:
         """Make one file of each place and hour that is over; of all, if the run ends. Raises OSError."""
         _, parquet = pyarrow_modules("a history")
         present = self._hour_of(self.clock())
+        self._over = max(self._over, present)
         for key in sorted(self._hours):
             place, hour = key
             if (hour >= present and not last) or key in self._waiting:
                 continue
-            if self._hours[key] > 1:
-                parts = parts_of(self.folder, place, hour, self.run)
-                self._write_whole(folder_of(self.folder, place, hour) / name_of(self.run, ALL), _joined(parquet, parts))
-                for part in parts:
-                    part.unlink()
-            del self._hours[key]
+            word, parts = self._hours[key]
+            if len(parts) > 1:
+                self._write_whole(folder_of(self.folder, place, hour) / name_of(word, ALL), _joined(parquet, parts))
+            del self._hours[key]  # first: if a part cannot be removed, those that are left must not be put together again
+            for part in parts if len(parts) > 1 else ():
+                part.unlink()
 
     # ---- inside ----
 
     def _hour_of(self, now: int) -> str:
         number = now // NS_OF_HOUR
-        if number != self._hour[0]:
-            self._hour = number, datetime.fromtimestamp(number * 3600, UTC).strftime(HOUR)
-        return self._hour[1]
+        known = self._hour  # once: the thread sets it, too
+        if number != known[0]:
+            known = self._hour = number, datetime.fromtimestamp(number * 3600, UTC).strftime(HOUR)
+        return known[1]
 
     def _drop(self) -> None:
         """Drop the older half of the longest list."""
@@ -147,8 +152,10 @@ class HistoryWriter:
 
         folder = folder_of(self.folder, place, hour)
         folder.mkdir(parents=True, exist_ok=True)
-        self._write_whole(folder / name_of(self.run, self._parts), _writing(parquet, write))
-        self._hours[key] = self._hours.get(key, 0) + 1
+        word, parts = self._hours.get(key) or (self.run if hour >= self._over else _new_word(self.clock()), [])
+        path = folder / name_of(word, self._parts)
+        self._write_whole(path, _writing(parquet, write))
+        self._hours[key] = word, [*parts, path]
 
     def _write_whole(self, path: Path, write: Callable[[Any], None]) -> None:
         """Write a file so that it is whole, and on the disk, once it has its name."""
@@ -158,6 +165,11 @@ class HistoryWriter:
             os.fsync(file.fileno())
         _sync_folder(path.parent)
         self.files += 1
+
+
+def _new_word(now: int) -> str:
+    """Return a word for the names of files that nobody else has. now: ns since 1970."""
+    return f"{datetime.fromtimestamp(now / 1e9, UTC):%Y%m%dT%H%M%SZ}-{secrets.token_hex(4)}"
 
 
 def _writing(parquet: Any, write: Callable[[Any], None]) -> Callable[[Any], None]:

@@ -55,16 +55,17 @@ class TrafficTrace:
         now. frames: how many of each bus at most; 0: all that are there."""
         spans: list[tuple[NetTraffic, int, int]] = []
         end: Time = 0
+        zero = next(iter(traffic.values())).zero  # of all buses, which have one clock
         for each in traffic.values():
             ring, now = each.ring, each.now()
             first = ring.since(now - round(seconds * SECOND))
             spans.append((each, max(first, ring.count - frames) if frames else first, ring.count))
-            end = max(end, now + each.zero)
+            end = max(end, now + zero)
         at = datetime.fromtimestamp(end // SECOND, UTC).strftime("%Y%m%dT%H%M%SZ")
         which = plain_name(next(iter(traffic))) if len(traffic) == 1 else "all-buses"
         trace = cls(f"{plain_name(site)}-{which}-{at}.log")
         for number, (net, span) in enumerate(zip(traffic, spans, strict=True)):
-            await trace._copy(_BusFrames(channel_of(net, number), span[0].zero, []), *span)
+            await trace._copy(_BusFrames(channel_of(net, number), zero, []), *span)
         return trace
 
     async def _copy(self, part: _BusFrames, traffic: NetTraffic, first: int, end: int) -> None:

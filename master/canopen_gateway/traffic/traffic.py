@@ -14,7 +14,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final, NamedTuple
 
@@ -73,7 +73,7 @@ class ReadPdos(NamedTuple):
 
 
 class NetTraffic:
-    """See this module's text. ring: the last frames; their times are on the master's clock. zero: ns from that clock to the time
+    """See this module's text. ring: the last frames; their times are on the master's clock. system: the clock of the system, ns
     since 1970. lost: frames that were lost before they came here, by the receiver's word; losses: before which frame of the ring,
     and how many. dropped: those that were not looked at in time. found: findings so far, by rule. findings: the last ones.
     failure: why nothing is understood any more, or None. pdos_read: by node-ID."""
@@ -82,7 +82,7 @@ class NetTraffic:
         """master: an open one. capacity: of the ring, frames."""
         bus = master.bus(net)
         self.ring = FrameRing(capacity)
-        self.zero: Time = time.time_ns() - master.now()
+        self.system: Callable[[], Time] = time.time_ns
         self.lost = self.dropped = 0
         self.found: Counter[str] = Counter()
         self.findings: deque[FeedRow] = deque(maxlen=MOST_FINDINGS)
@@ -117,6 +117,12 @@ class NetTraffic:
             yield feed
         finally:
             self._feeds.remove(feed)
+
+    @property
+    def zero(self) -> Time:
+        """ns from the master's clock to the time since 1970. The system's clock may be set while a gateway runs: so it is read
+        each time."""
+        return self.system() - self._master.now()
 
     def now(self) -> Time:
         """Return the present on the clock of the ring, ns."""

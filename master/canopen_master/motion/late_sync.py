@@ -25,6 +25,8 @@ A joint that brakes has gone on since it was asked. So if the answers of all joi
 that told it are asked again, until the answers were quick, or no joint moved from one to the next. One that still moves at the
 last of MOST_LOOKS halts its chain, too.
 
+A gap of more than TOO_LATE halts the chain in any case, whether its joints moved or not: the computer slept, or was held.
+
 **`our_lateness`** is the reason to name for a drive that does not follow because its SYNC, or our heartbeat, came late.
 """
 
@@ -40,7 +42,7 @@ from canopen_proto.communication_errors import EMCY_CONNECTION_LOST
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.synchronous import align_position
 from canopen_proto.error_codes import error_text
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of, sleep
 
 RETURN: Final = 0.2
@@ -60,6 +62,10 @@ LONGEST: Final = 200 * MILLISECOND
 
 MOST_LOOKS: Final = 10
 """Drives that brake have come to rest by then."""
+
+TOO_LATE: Final = 1 * SECOND
+"""Behind a longer gap no chain goes on by itself: nobody expects that any more, and somebody may stand in its way. Drives that
+watch this master have stopped by then (500 ms, see `Watchdog`)."""
 
 
 class WithinReach:
@@ -156,8 +162,9 @@ class Guarded(Protocol):
 class GapGuard:
     """The `SyncGuard` of one chain; see this module's text."""
 
-    def __init__(self, set_points: Guarded, stop: Callable[[str], None]) -> None:
-        """stop: halts the chain; it is told why."""
+    def __init__(self, set_points: Guarded, stop: Callable[[str], None], too_late: Time = NEVER) -> None:
+        """stop: halts the chain; it is told why. too_late: ns; a longer gap stops it in any case."""
+        self._too_late = too_late
         self._set_points = set_points
         self._stop = stop
         self._looks = 0  # how often the joints were asked
@@ -167,7 +174,7 @@ class GapGuard:
 
     def look_before_sync(self, late: Time) -> Procedure[object] | None:
         """See `SyncGuard`."""
-        if not self._set_points.must_look(late):
+        if not self._set_points.must_look(late) and (late <= self._too_late or not self._set_points.is_followed):
             return None
         self._looks, self._seen = 0, []
         return self._look()
@@ -195,6 +202,9 @@ class GapGuard:
             return
         if looks:
             self._set_points.stand_at_images()
+        if late > self._too_late:
+            self._stop(f"because no SYNC was sent for {late / SECOND:.1f} s: this program, or its computer, stood still")
+            return
         self._set_points.before_late_sync(late)
 
     def before_ordered_sync(self, late: Time) -> None:

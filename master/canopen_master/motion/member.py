@@ -26,7 +26,7 @@ from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.cycles import SetPoints, SetPointSource
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import JointError, failure_of, follow, mode_of, of_joint, stop
-from canopen_master.motion.late_sync import GapGuard
+from canopen_master.motion.late_sync import TOO_LATE, GapGuard
 from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant.dispatch import ProcedureTakenBackError
@@ -135,7 +135,7 @@ class Member:
         self._culprit: tuple[Device, str, Reason | None] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
         participant.watch((SyncSent,), self._on_sync, participant.bus(self.devices[0].node.bus))
-        participant.guard_sync(GapGuard(self.set_points, self.stop_now))
+        participant.guard_sync(GapGuard(self.set_points, self.stop_now, TOO_LATE))
 
     # ---- what is known of it ----
 

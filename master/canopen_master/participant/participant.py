@@ -23,6 +23,7 @@ from canopen_master.participant.bus import Bus
 from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher, check_callback, event_kinds
 from canopen_master.participant.pump import Pump
 from canopen_master.participant.requests import OpenRequest
+from canopen_master.participant.sleeping import sleep_watch
 from canopen_master.participant.subscription import Subscription
 from canopen_master.seconds import nanoseconds
 from canopen_proto.heartbeat import HeartbeatReceived
@@ -91,6 +92,7 @@ class Participant:
         self._guards: list[SyncGuard] = []
         self._looking: tuple[RequestId, Time] | None = None  # and when the SYNC was due that waits for it
         self._without_sync: Time | None = None  # since when SYNC is stopped
+        self._sleep_watch = sleep_watch()
         self._subscriptions: dict[Subscription[Any], Watcher] = {}
         self.failure: Exception | None = None
         self.is_closed = False
@@ -225,6 +227,10 @@ class Participant:
         """Ask before a SYNC is sent that is late. Not for a SYNC that the transport sends. guard: is asked."""
         self._guards.append(guard)
 
+    def _slept(self) -> Time:
+        """Return for how long the computer has slept since the last SYNC, where its clock does not tell."""
+        return 0 if self._sleep_watch is None else self._sleep_watch.slept()
+
     def _before_ordered_sync(self, now: Time) -> None:
         """Let guards stop what would jump at a SYNC that comes without the look at the drives."""
         since = self._without_sync if self._looking is None else self._looking[1]
@@ -242,6 +248,9 @@ class Participant:
         for sync in self._sync.values():
             if sync.deadline < due:
                 due = sync.deadline
+        if now < due:
+            return
+        due -= self._slept()
         if (now - due) * ON_TIME <= self.sync_period:
             return
         looks = [look for guard in self._guards if (look := guard.look_before_sync(now - due)) is not None]
