@@ -15,7 +15,7 @@ from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.numbers import NumberCommand
 from canopen_cli.shared.options import NodeOfObject, Settings, command, commanding, enabling, together, with_named_object
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
-from canopen_cli.shared.problem import ExitCode, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
