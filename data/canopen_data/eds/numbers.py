@@ -24,7 +24,7 @@ from typing import Final, TypeAlias
 
 from canopen_data.eds.ini import quoted
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, range_of, real_of, vanishes
-from canopen_proto.machine import MAX_NODE_ID
+from canopen_proto.frame import MAX_NODE_ID
 
 _NUMBER: Final = re.compile(r"([+-]?)(?:0[xX]([0-9A-Fa-f]{1,32})|([0-9]{1,40}))", re.ASCII)
 _OCTAL: Final = re.compile(r"0[0-7]+", re.ASCII)
