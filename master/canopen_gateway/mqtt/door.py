@@ -104,8 +104,8 @@ class MqttDoor:
 
     async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
         """Tell the broker until cancelled. begun: called once nothing can be refused any more; the broker may still be away.
-        Returns early only if the door itself fails; see `failure`. Raises GatewayFullError; ValueError if two buses would have one name;
-        ObjectNotFoundError for an object to read that no dictionary at hand knows by this name."""
+        Returns early only if the door itself fails; see `failure`. Raises GatewayFullError; ValueError if two buses would have
+        one name; ObjectNotFoundError for an object to read that no dictionary at hand knows by this name."""
         self._names = {net: name_of_bus(net) for net in service.nets}
         if len(set(self._names.values())) < len(self._names):
             raise ValueError("two buses would have one name: give them names in a machine file")

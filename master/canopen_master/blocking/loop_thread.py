@@ -24,8 +24,6 @@ from typing import Final, Protocol
 
 import trio
 
-from canopen_proto.machine import LocalProtocolError
-
 WATCH_INTERVAL: Final = 0.05
 """The most seconds until the end of a thread is noticed."""
 LOOK_UP: Final = 0.5
@@ -287,14 +285,6 @@ class Waker:
         else:
             for each in self._sockets:
                 each.close()
-
-
-def forked() -> LocalProtocolError:
-    """Return the error for the use of a master in a child process."""
-    return LocalProtocolError(
-        "this master belongs to the process that this one was forked from, and so do its thread and its bus; "
-        "open a master of its own here, or start processes by the method `spawn`"
-    )
 
 
 _shared: LoopThread | None = None
