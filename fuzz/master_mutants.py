@@ -319,14 +319,12 @@ MASTER_MUTANTS: Final = tuple(
         (
             "woken_for_good",
             "canopen_master/blocking/loop_thread.py",
-            "            self._jobs.append(job)\n",
+            "            wakers[0].wake()\n        elif self._dispatcher_waits:\n",
             (
-                "            self._jobs.append(job)\n"
-                "            for number, name in enumerate(('_front_waits', '_dispatcher_waits')):\n"
-                "                if getattr(self, name):\n"
-                "                    setattr(self, name, False)\n"
-                "                    self._wakers[number].wake()\n"
-                "                    return True\n"
+                "            self._front_waits = False\n"
+                "            wakers[0].wake()\n"
+                "        elif self._dispatcher_waits:\n"
+                "            self._dispatcher_waits = False\n"
             ),
             "a task counts as woken before it is: an interrupt in between leaves it asleep, and a drive is not halted",
             BACKGROUND,
