@@ -12,6 +12,7 @@ ARGUMENTS: Final = ("tests/master/test_wrong_arguments.py",)
 DISPATCH: Final = ("tests/master/test_dispatch.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
+FORKS: Final = ("tests/master/test_forks.py",)
 PUMP_TIME: Final = ("tests/master/test_pump_time.py",)
 ONE_PROCESS: Final = ("tests/master/test_one_process.py",)
 PATIENT_CLOCK: Final = ("tests/master/test_patient_clock.py",)
@@ -219,6 +220,14 @@ MASTER_MUTANTS: Final = tuple(
             "self._loop.rounds_to_hear",
             "after a stall the master acts on what it heard before it has heard the rest",
             STALLS,
+        ),
+        (
+            "goes_on_as_its_parent",
+            "canopen_master/participant/pump.py",
+            "        if self.is_inherited:\n",
+            "        if False:\n",
+            "a forked child takes sockets off the list of its parent's loop, which hears its drives no more",
+            FORKS,
         ),
         (
             "looks_once",

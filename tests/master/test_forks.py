@@ -41,6 +41,10 @@ async def go_on(master):
     if way == "raise":
         raise ValueError
     if way == "command":
+        try:
+            master.node(3).start_guarding(0.1)
+        except LocalProtocolError as error:
+            os.write(2, f"refused: {error}\\n".encode())
         for command in (lambda: master.nmt(NmtCommand.STOP), lambda: master.node(3).read("device_type")):
             try:
                 await command()
@@ -87,4 +91,4 @@ def test_a_child_neither_sends_nor_makes_its_parent_deaf(bus: str, host: str, wa
     script = [sys.executable, "-c", SCRIPT, host, bus, way]
     done = subprocess.run(script, capture_output=True, text=True, timeout=100, check=False, env=environment())
     assert (done.returncode, done.stdout) == (0, "the parent goes on\n"), done.stderr
-    assert done.stderr.count("the process that this one was forked from") == (2 if way == "command" else 1)
+    assert done.stderr.count("the process that this one was forked from") == (3 if way == "command" else 1)

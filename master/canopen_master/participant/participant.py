@@ -136,6 +136,8 @@ class Participant:
     def check_loop(self) -> None:
         """Raise LocalProtocolError where another run of a loop than this master's, or none, calls: mostly in another thread.
         Nobody would wake the task when its answer comes, and the loop may be in the middle of the same machine."""
+        if self._pump.is_inherited:
+            raise forked()
         try:
             is_ours = current_loop().token() is self._token
         except NoLoopError:
