@@ -24,6 +24,8 @@ such as PDO parameters, which are objects with subindices.
 from __future__ import annotations
 
 import datetime
+import math
+import re
 import reprlib
 import struct
 from abc import ABC, abstractmethod
@@ -43,6 +45,8 @@ EPOCH: Final = datetime.datetime(1984, 1, 1, tzinfo=datetime.UTC)
 
 _MS_PER_DAY: Final = 86_400_000
 _TIME = struct.Struct("<IH")
+_ROUNDED_TO_0: Final = 2.0**-150
+"""Half of the least number of REAL32; IEEE 754 rounds it to the even one of its neighbours."""
 _LETTERS: Final = {1: "b", 2: "h", 4: "i", 8: "q"}
 """By size in bytes: how `struct` calls a signed integer."""
 
@@ -119,6 +123,23 @@ def size_of(data_type: DataType) -> int | None:
 def bit_length_of(data_type: DataType) -> int | None:
     """Return the number of bits in a PDO (1 for BOOLEAN); None if the length varies."""
     return _CODECS[data_type].bit_length
+
+
+def real_of(text: str) -> float:
+    """Return the number in a text, as `float` does. Raises ValueError also for one of which `float` makes 0 or infinity in
+    silence, as 1e-400 and 1e400."""
+    number = float(text)
+    if math.isinf(number) and "inf" not in text.lower():
+        raise ValueError(f"{text[:40]} is too large: it would become infinity")
+    if not number and re.search("[1-9]", re.split("[eE]", text)[0]):
+        raise ValueError(f"{text[:40]} is too small: it would become 0")
+    return number
+
+
+def vanishes(number: float, data_type: DataType) -> bool:
+    """Return whether a number that is not 0 becomes 0 in a type, as 1e-50 does in REAL32. This is for what a person or a file
+    gives; `encode` rounds in silence, since the values of a control loop may be as small."""
+    return data_type is DataType.REAL32 and 0.0 < abs(number) <= _ROUNDED_TO_0
 
 
 def is_integer(data_type: DataType) -> bool:

@@ -67,6 +67,7 @@ LEFT_OUT: Final = {
     "Node.begin_use": _INSIDE,
     "Node.guard_for": _CALLBACK,
     "Master.body": _INSIDE,
+    "Master.check_loop": _INSIDE,
     "Master.end_all": _INSIDE,
     "Master.finish": _INSIDE,
     "Master.guard_sync": _CALLBACK,

@@ -85,6 +85,22 @@ GATEWAY_MUTANTS: Final = tuple(
             HISTORY,
         ),
         (
+            "one_connection_ends_all",
+            "canopen_gateway/web/door.py",
+            "hypercorn.trio.run.TCPServer = _Connection",
+            "_ = _Connection",
+            "a client without a token ends the door, and with it the master of the machine",
+            ("tests/gateway/test_serve_web.py",),
+        ),
+        (
+            "argument_dropped",
+            "canopen_gateway/assistant/server.py",
+            '{"extra": "forbid", "strict": True}',
+            '{"strict": True}',
+            "an assistant that names a subindex apart writes subindex 0",
+            ("tests/gateway/test_assistant.py",),
+        ),
+        (
             "two_are_selected",
             _LSS,
             "    yield from all_waiting(tool)\n    reply",

@@ -12,6 +12,7 @@ ARGUMENTS: Final = ("tests/master/test_wrong_arguments.py",)
 DISPATCH: Final = ("tests/master/test_dispatch.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
+FORKS: Final = ("tests/master/test_forks.py",)
 PUMP_TIME: Final = ("tests/master/test_pump_time.py",)
 ONE_PROCESS: Final = ("tests/master/test_one_process.py",)
 PATIENT_CLOCK: Final = ("tests/master/test_patient_clock.py",)
@@ -237,6 +238,14 @@ MASTER_MUTANTS: Final = tuple(
             STALLS,
         ),
         (
+            "goes_on_as_its_parent",
+            "canopen_master/participant/pump.py",
+            "        if self.is_inherited:\n",
+            "        if False:\n",
+            "a forked child takes sockets off the list of its parent's loop, which hears its drives no more",
+            FORKS,
+        ),
+        (
             "looks_once",
             "canopen_master/participant/pump.py",
             "for _ in range(MAX_LOOKS):",
@@ -335,14 +344,12 @@ MASTER_MUTANTS: Final = tuple(
         (
             "woken_for_good",
             "canopen_master/blocking/loop_thread.py",
-            "            self._jobs.append(job)\n",
+            "            wakers[0].wake()\n        elif self._dispatcher_waits:\n",
             (
-                "            self._jobs.append(job)\n"
-                "            for number, name in enumerate(('_front_waits', '_dispatcher_waits')):\n"
-                "                if getattr(self, name):\n"
-                "                    setattr(self, name, False)\n"
-                "                    self._wakers[number].wake()\n"
-                "                    return True\n"
+                "            self._front_waits = False\n"
+                "            wakers[0].wake()\n"
+                "        elif self._dispatcher_waits:\n"
+                "            self._dispatcher_waits = False\n"
             ),
             "a task counts as woken before it is: an interrupt in between leaves it asleep, and a drive is not halted",
             BACKGROUND,

@@ -220,7 +220,7 @@ class ObjectDictionary:
 
     def _by_text(self, text: str, names: _NameIndex) -> Variable:
         """Return the variable for a text that is no exact name. Raises ObjectNotFoundError."""
-        found = names.folded.get(_fold(text))
+        found = names.folded.get(fold_name(text))
         if found is not None:
             return found
         number = _NUMBER.fullmatch(text.strip())
@@ -397,7 +397,7 @@ class _NameIndex:
         for name, variable in fields.items():
             if name not in self.shared:
                 self.exact.setdefault(name, variable)
-        self.folded = {_fold(name): variable for name, variable in self.exact.items()}
+        self.folded = {fold_name(name): variable for name, variable in self.exact.items()}
 
     def example(self, field: str) -> str:
         """Return one whole name ("record:field") of a field that several records have."""
@@ -418,7 +418,8 @@ def _renamed(each: Object, other: ObjectDictionary) -> Object:
     return replace(each, variables=MappingProxyType(variables))
 
 
-def _fold(name: str) -> str:
+def fold_name(name: str) -> str:
+    """Return a name as all are compared: without regard to case, and with "_" for blanks and hyphens."""
     return _SEPARATORS.sub("_", name.strip()).casefold()
 
 

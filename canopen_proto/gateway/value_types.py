@@ -16,14 +16,13 @@ A value is bytes here, as SDO carries them: what a text means as bytes, and back
 from __future__ import annotations
 
 import binascii
-import math
 import re
 import struct
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, is_signed, size_of
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, is_signed, real_of, size_of, vanishes
 from canopen_proto.gateway.dialect import CANOPENNODE, Dialect
 from canopen_proto.machine import LocalProtocolError
 
@@ -176,8 +175,11 @@ def typed_value(value_type: ValueType, data: bytes, dialect: Dialect = CANOPENNO
 
 
 def _real_of(text: str, value_type: ValueType) -> bytes | None:
-    number = float(text)  # 1e999 is inf there, which nobody has typed
-    return None if math.isinf(number) and "inf" not in text.lower() else _encoded(number, value_type)
+    try:
+        number = real_of(text)
+        return None if vanishes(number, value_type.data_type) else encode(number, value_type.data_type)
+    except ValueError:  # ValueRangeError is one
+        return None
 
 
 def _encoded(value: Value, value_type: ValueType) -> bytes | None:

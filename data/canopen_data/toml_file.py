@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 import re
 import tomllib
@@ -15,6 +16,7 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_proto.datatypes import real_of
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.machine import LocalProtocolError
 
@@ -42,13 +44,30 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     if len(text) > MAX_TEXT:
         raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=real_of)
     except tomllib.TOMLDecodeError as error:
         place = _PLACE.fullmatch(str(error))
         line, column = (int(place[1]), int(place[2])) if place is not None else (text.count("\n") + 1, 1)
         raise _failure(source, str(error).partition(" (at ")[0], line, column) from None
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits; arrays in arrays in arrays
-        raise _failure(source, str(error)) from None
+    except (ValueError, RecursionError) as error:  # an odd number; arrays in arrays in arrays
+        message = "arrays or tables are nested too deep" if isinstance(error, RecursionError) else str(error)
+        raise _failure(source, message, _line_of_failure(text), 1) from None
+
+
+def _line_of_failure(text: str) -> int:
+    """Return the line at which a text fails in another way than by its syntax: then the lines before fail in no such way."""
+    lines = text.split("\n")
+
+    def fails(count: int) -> bool:
+        try:
+            tomllib.loads("\n".join(lines[:count]), parse_float=real_of)
+        except tomllib.TOMLDecodeError:
+            return False
+        except (ValueError, RecursionError):
+            return True
+        return False
+
+    return bisect.bisect_left(range(1, len(lines)), True, key=fails) + 1
 
 
 def _failure(source: str, message: str, line: int = 0, column: int = 0) -> DictionaryError:

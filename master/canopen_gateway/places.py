@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final
 
 from canopen_gateway.errors import NoSuchPlaceError
 from canopen_gateway.service import GatewayService
 from canopen_master import Node
-from canopen_proto.datatypes import Value
+from canopen_proto.datatypes import Value, real_of, vanishes
 from canopen_proto.dictionary import ObjectDictionary, ObjectNotFoundError
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.cia402.axes import MAX_AXES
@@ -69,6 +71,23 @@ def check_object(dictionaries: Sequence[ObjectDictionary], text: str) -> None:
     raise ObjectNotFoundError(f"object {text!r} is in no dictionary at hand{did_you_mean(text, names)}")
 
 
+def json_said(text: str | bytes) -> Any:
+    """Return what a JSON text says. Raises ValueError, in words, if it is none, and for what would be taken for something else in
+    silence: a name that stands twice in an object, and a number that becomes 0 or infinity."""
+    try:
+        return json.loads(text, object_pairs_hook=_once, parse_float=real_of)
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"{twice[:40]!r} stands twice in one object")
+    return found
+
+
 def number_said(value: object) -> float | None:
     """Return a number of a message; None for what is none: another kind of value, NaN, or one too great to reckon with."""
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300:
@@ -93,4 +112,7 @@ def bytes_of(node: Node, index: int, subindex: int, value: Value | None) -> byte
         raise ValueError(f"{variable.label}: the value has to be a finite number; others can be given as bytes")
     if isinstance(value, str) and isinstance(variable.codec.zero, bytes):
         value = bytes.fromhex(value)
-    return node.remote.encode(variable, value)[2]
+    data = node.remote.encode(variable, value)[2]
+    if isinstance(value, float) and vanishes(value, variable.data_type):
+        raise ValueError(f"{variable.label}: {value} is too small for {variable.data_type.name}: it would become 0")
+    return data

@@ -21,7 +21,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.explained import ErrorWords, Explained, counted
-from canopen_proto.machine import SECOND, Time
+from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import NOT_CONFIRMED
 from canopen_proto.remote_node import RemoteNode
@@ -446,3 +446,11 @@ _OF_SIZE: Final = (*_OF_LENGTH, AbortCode.OUT_OF_MEMORY, AbortCode.INVALID_COMMA
 def _name_of(node: RemoteNode, index: int, subindex: int) -> str:
     variable = node.dictionary.get(index, subindex)
     return f"{index:04X}:{subindex:02X}" + (f" ({variable.name})" if variable is not None else "")
+
+
+def forked() -> LocalProtocolError:
+    """Return the error for the use of a master in a child process."""
+    return LocalProtocolError(
+        "this master belongs to the process that this one was forked from, and so do its thread and its bus; "
+        "open a master of its own here, or start processes by the method `spawn`"
+    )

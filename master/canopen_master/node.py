@@ -108,6 +108,7 @@ class Node(Peer):
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for `timeout` seconds, from the first one on; 0 ends this."""
+        self._participant.check_loop()
         self.remote.heartbeat.set_timeout(nanoseconds("timeout", timeout), self.now())
         self._participant.pump.pump()
 
@@ -302,6 +303,7 @@ class Node(Peer):
         enable a drive: the master takes hold of the drive beside it (`hold` does so before it). Raises NotHeldError if the drive
         has to be held first (`Watchdog.required`).
         """
+        self._participant.check_loop()
         if enabled and number in self.remote.rpdos:
             for key in self._controlwords.keys() & set(self.remote.rpdos[number].mapping.muxes):
                 self._may_enable(self._controlwords[key])
@@ -315,6 +317,7 @@ class Node(Peer):
 
         For controlwords, see `enable_rpdo`.
         """
+        self._participant.check_loop()
         variable, meant, _ = self.remote.encode(self._variable(key), value)
         axis = self._controlwords.get(variable.mux)
         if axis is not None and enables_operation(meant):
@@ -352,6 +355,7 @@ class Node(Peer):
 
         Events: HeartbeatReceived; NodeGuardingLost after guard_time * life_time_factor without an answer.
         """
+        self._participant.check_loop()
         self.remote.start_guarding(nanoseconds("guard_time", guard_time, above_zero=True), life_time_factor, self.now())
         self._guarding_left = None
         self._participant.pump.pump()
@@ -372,6 +376,7 @@ class Node(Peer):
     @protected
     def stop_guarding(self) -> None:
         """Stop node guarding."""
+        self._participant.check_loop()
         self._guarding_left = None
         self.remote.stop_guarding()
         self._participant.pump.pump()

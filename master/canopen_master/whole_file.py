@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import stat
@@ -12,8 +13,9 @@ from typing import IO
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[IO[bytes]]:
+def whole_file(path: str | Path, *, is_new: bool = False) -> Iterator[IO[bytes]]:
     """Open a file for writing. It has its new content when the block ends; if the block raises, the file stays as it was.
+    is_new: one that is there by then is not replaced: FileExistsError.
 
     The bytes go into a file of another name in the same folder, which then takes its place. Links are followed; an older file
     keeps its permissions. A path that is not a regular file, such as a pipe or /dev/null, is written to directly; opening a
@@ -31,11 +33,25 @@ def whole_file(path: str | Path) -> Iterator[IO[bytes]]:
             yield file
         if mode is not None and mode != os.stat(beside).st_mode:  # a file system without permissions has none to set
             os.chmod(beside, stat.S_IMODE(mode))
-        os.replace(beside, target)
+        (_rename if is_new else os.replace)(beside, target)
     except BaseException:
         with suppress(OSError):
             os.unlink(beside)
         raise
+
+
+def _rename(beside: str, target: str) -> None:
+    """Give a file its name. Raises FileExistsError if another one has it."""
+    try:
+        os.link(beside, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.lexists(target):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), target) from None
+        os.replace(beside, target)
+    else:
+        os.unlink(beside)
 
 
 def _mode_of(path: str | Path) -> int | None:

@@ -63,6 +63,7 @@ def test_doctor_says_who_names_the_bus(run: Run, monkeypatch: pytest.MonkeyPatch
     ("text", "told"),
     [
         ("bus = \n", "is no TOML"),
+        (f"bus = {'[' * 5000}", "is no TOML"),
         ("buss = 'demo'\n", "no key 'buss'"),
         ("bus = 5\n", "is no text"),
         ("bus = ''\n", "is no text"),

@@ -7,8 +7,9 @@ import io
 import os
 import stat
 import sys
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -158,6 +159,31 @@ def test_a_file_that_is_not_written_to_the_end_is_as_it_was(run: Run) -> None:
             raise KeyboardInterrupt
         assert names() == ({target.name} if content else set())
         assert not content or target.read_text() == content
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("name", ["backup", "read", "doc"])
+def test_a_file_that_another_program_makes_meanwhile_is_not_overwritten(
+    run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, name: str, links: bool
+) -> None:
+    def crowded(path: str, **options: bool) -> AbstractContextManager[IO[bytes]]:
+        Path(path).write_text(OLD)
+        return whole_file(path, **options)
+
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "this file system has none")
+
+    monkeypatch.setattr("canopen_cli.shared.new_files.whole_file", crowded)
+    if not links:
+        monkeypatch.setattr(os, "link", no_links)
+    output = Path(COMMANDS[name][-1])
+    outcome = run(*COMMANDS[name])
+    assert (outcome.status, output.read_text()) == (ExitCode.USAGE, OLD), outcome.err
+    assert "is there now, and was not overwritten" in outcome.err
+    assert not [each for each in names() if each.endswith(".part")]
+    output.unlink()
+    assert run(*COMMANDS[name], "--force").status == 0
+    assert output.read_bytes() != OLD.encode()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege")

@@ -44,6 +44,13 @@ def test_lists_of_node_ids(text: str, ids: tuple[int, ...]) -> None:
     assert NodeIds().convert(ids, None, None) == ids
 
 
+@pytest.mark.parametrize("text", ["1-200", "0-5", "1,axis"])
+def test_a_list_with_an_impossible_node_id_is_no_reason_for_a_scan(text: str) -> None:
+    with pytest.raises(CommandError) as caught:
+        NodeIds().convert(text, None, None)
+    assert caught.value.tries[0] == "1-127    (all node-IDs)"
+
+
 def test_a_list_that_runs_backwards() -> None:
     with pytest.raises(CommandError, match="runs backwards") as caught:
         NodeIds().convert("8-3", None, None)

@@ -23,7 +23,9 @@ from canopen_proto.datatypes import (
     is_number,
     is_signed,
     range_of,
+    real_of,
     size_of,
+    vanishes,
     zero_of,
 )
 from canopen_proto.machine import LocalProtocolError
@@ -246,3 +248,24 @@ def test_times() -> None:
 def test_a_range_error_is_a_fault_of_our_caller() -> None:
     assert issubclass(ValueRangeError, LocalProtocolError)
     assert issubclass(ValueRangeError, ValueError)
+
+
+@pytest.mark.parametrize("text", ["1e-400", "-0.01e-330", "1e400", "-1e999", "0." + "0" * 400 + "1"])
+def test_a_text_whose_number_a_float_cannot_hold_is_none(text: str) -> None:
+    with pytest.raises(ValueError, match=f"{text[:40]} is too (large|small): it would become"):
+        real_of(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "-0.0", "0e-999", "0.000", "5e-324", "1.7976931348623157e308", "-inf", "Infinity", "1_0.5"]
+)
+def test_a_text_whose_number_a_float_can_hold_is_that_number(text: str) -> None:
+    assert real_of(text) == float(text)
+
+
+@given(st.floats(-1e38, 1e38))
+@examples(50)
+def test_a_number_vanishes_if_its_bytes_are_those_of_0(number: float) -> None:
+    for value in (number, number * 2.0**-200, 2.0**-150, 2.0**-149, 0.0):
+        becomes_0 = value != 0.0 and decode(encode(value, DataType.REAL32), DataType.REAL32) == 0.0
+        assert (vanishes(value, DataType.REAL32), vanishes(value, DataType.REAL64)) == (becomes_0, False)

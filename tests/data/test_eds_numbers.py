@@ -98,12 +98,15 @@ def test_values(text: str, data_type: DataType, value: Value | None) -> None:
         ("384 +$NodeId", 0x180),
         ("$NODEID+0600", 0o600),
         ("$NODEID+0x80000180", 0x8000_0180),
+        ("$NODEID+0xFFFFFFFE", 0xFFFF_FFFE),
         ("$NODEID-1", -1),
+        ("$NODEID-127", -127),
     ],
 )
 def test_values_that_depend_on_the_node_id(text: str, base: int) -> None:
-    value, adds_node_id, _, lost = read_value(text, DataType.UNSIGNED32 if base >= 0 else DataType.INTEGER32)
-    assert (value, adds_node_id, lost) == (base, True, False)
+    assert read_value(text, DataType.UNSIGNED32) == (base, True, read_value(text, DataType.INTEGER64)[2], False)
+    if base < 0:
+        assert read_value(text, DataType.INTEGER32) == (base, True, "", False)
 
 
 @pytest.mark.parametrize(
@@ -134,6 +137,9 @@ def test_values_with_a_remark(text: str, data_type: DataType, value: Value, rema
         ("-129", DataType.INTEGER8, "is outside -128..127 (INTEGER8)"),
         ("256", DataType.INTEGER8, "is outside -128..127 (INTEGER8)"),
         ("-129", DataType.UNSIGNED8, "is outside 0..255 (UNSIGNED8)"),
+        ("$NODEID+0xFFFFFFFF", DataType.UNSIGNED32, "is outside 0..4294967295 (UNSIGNED32), whatever the node-ID"),
+        ("$NODEID+127", DataType.INTEGER8, "is outside -128..127 (INTEGER8), whatever the node-ID"),
+        ("$NODEID-128", DataType.UNSIGNED16, "is outside 0..65535 (UNSIGNED16), whatever the node-ID"),
         ("2", DataType.BOOLEAN, "is outside 0..1 (BOOLEAN)"),
         ("yes", DataType.BOOLEAN, "is not a number"),
         ("$NODEID", DataType.BOOLEAN, "depends on the node-ID"),
@@ -148,6 +154,8 @@ def test_values_with_a_remark(text: str, data_type: DataType, value: Value, rema
         ("nan", DataType.REAL64, "is no REAL64"),
         ("0x7FC00000", DataType.REAL32, "is not a number (NaN)"),
         ("1e39", DataType.REAL32, "is too large for REAL32"),
+        ("1e-46", DataType.REAL32, "is too small for REAL32"),
+        ("-.001e-400", DataType.REAL64, "is too small for REAL64"),
         ("1e400", DataType.REAL32, "is too large for REAL32"),
         ("-1.e400", DataType.REAL64, "is too large for REAL64"),
         ("9" * 320, DataType.REAL64, "is too large for REAL64"),

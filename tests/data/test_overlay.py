@@ -159,6 +159,24 @@ def test_hostile_texts(text: str) -> None:
         lay_over(DICTIONARY, text)
 
 
+@pytest.mark.parametrize(
+    ("odd", "told"),
+    [
+        ("[" * 100_000, "arrays or tables are nested too deep"),
+        ("[1,\n[" + "{a = [" * 5_000, "arrays or tables are nested too deep"),
+        ("9" * 10_000, "Exceeds the limit"),
+        ("1e-400", "1e-400 is too small"),
+        ("[\n1e400\n]", "1e400 is too large"),
+    ],
+)
+@pytest.mark.parametrize("behind", ["", "\n[objects.6042]\nunit = 'x'\n", "\n???\n"])
+def test_what_tomllib_tells_without_a_place_has_its_line(odd: str, told: str, behind: str) -> None:
+    with pytest.raises(DictionaryError) as caught:
+        lay_over(DICTIONARY, f"# 1e-400\n[objects.6041]\nfactor = {odd}{behind}", source="u.toml")
+    line = 3 + odd.count("\n", 0, odd.find("1e400") if "1e400" in odd else None)
+    assert caught.value.failed.startswith(f"u.toml:{line}:1: error: {told}")
+
+
 def test_all_errors_in_one_pass() -> None:
     with pytest.raises(DictionaryError) as caught:
         lay_over(

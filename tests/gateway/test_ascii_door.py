@@ -383,8 +383,16 @@ async def test_a_unix_socket_for_its_user_alone(tmp_path: Path) -> None:
     left_over.close()  # as after a kill
     async with await bind_ascii_door(unix=path):
         assert path.exists()
+    async with await bind_ascii_door(unix=path) as first:
+        path.unlink()  # somebody tidies up, and starts another door
+        second = await bind_ascii_door(unix=path)
+        assert first.addresses == second.addresses
+    assert path.is_socket()
+    async with second:
+        assert path.is_socket()
+    assert not path.exists()
     path.write_text("mine")
-    with pytest.raises(DoorError, match="cannot listen"):
+    with pytest.raises(DoorError, match="what is there is no socket"):
         await bind_ascii_door(unix=path)
     assert path.read_text() == "mine"
 

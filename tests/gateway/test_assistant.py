@@ -129,6 +129,12 @@ async def test_what_changes_something_needs_its_permission() -> None:
         assert (await asked.ask("read_object", node=3, object="1017"))["value"] == 300
         for place in ("controlword", "60FF:00", "607A:00", "1010:01", "1F50:01", "1400:01"):
             assert "CO150" in await asked.refused("write_object", node=3, object=place, value=0)
+        for wrong in ({"subindex": 1}, {"value": True}, {"node": True}, {"node": "3"}, {"node": 3.0}, {"value": [5]}):
+            given: dict[str, Any] = {"node": 3, "object": "1017", "value": 5, **wrong}
+            assert next(iter(wrong)) in await asked.refused("write_object", **given)
+        assert (await asked.ask("read_object", node=3, object="1017"))["value"] == 300
+        (write,) = [each for each in (await asked.client.list_tools()).tools if each.name == "write_object"]
+        assert write.input_schema["additionalProperties"] is False
         assert "--allow nmt" in await asked.refused("nmt", command="start", node=3)
         assert "70000" in await asked.refused("write_object", node=3, object="1017", value=70000)
     async with assistant(3, allow="nmt") as (_, asked):

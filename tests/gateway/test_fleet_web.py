@@ -148,7 +148,7 @@ async def test_a_setting_is_written_only_if_the_page_and_the_bridge_both_allow_i
     heard: list[str] = []
     async with one_site(3, allow=allow, bridge_allows=bridge_allows, heard=heard) as (shown, _):
         heard.clear()
-        for name in ("1017:00", "producer_heartbeat_time"):
+        for name in ("1017:00", "producer_heartbeat_time", "Producer Heartbeat Time"):
             status, answer = await shown.put(f"/1/3/objects/{name}", value=1234)
             assert (status, written or answer["error"]["code"]) == ((200, True) if written else (403, answer["error"]["code"]))
             assert written or answer["error"]["code"] in ("CO150", "CO161")

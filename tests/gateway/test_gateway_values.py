@@ -60,6 +60,8 @@ def test_a_value_as_both_gateways_write_it(word: str, data: str, canopennode: st
         ("r32", "1e99999"),  # Python reads inf
         ("r32", "-1e99999"),
         ("r64", "1e999"),
+        ("r64", "1e-999"),  # Python reads 0
+        ("r32", "1e-46"),
         ("r32", "1_0"),
         ("r64", "abc"),
         ("b", "2"),

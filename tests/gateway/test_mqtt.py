@@ -241,6 +241,17 @@ def hashed(password: str) -> str:
 
 
 @real_time
+async def test_a_door_that_fails_says_why_and_the_machine_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    with BareBroker() as bare:
+        async with telemetry(bare.port, 3) as (_, service, door):
+            await seen(lambda: door.sent > 0)
+            monkeypatch.setattr(door.link, "send", lambda messages: {}["no such thread"])
+            await seen(lambda: door.failure is not None)
+            assert isinstance(door.failure, KeyError)
+            assert await service.node(service.nets[0], 3).read("device_type")
+
+
+@real_time
 async def test_emergencies_that_nobody_takes_are_bounded_and_counted() -> None:
     async with telemetry(free_port(), 3) as (_, _, door), await open_transport(VIRTUAL) as other:
         await seen(lambda: f"{BUS}/status" in door._last)

@@ -228,6 +228,27 @@ def test_on_a_real_socket() -> None:
     trio.run(main)
 
 
+def test_a_connection_that_fails_ends_alone() -> None:
+    """Of what ends hypercorn's own server: the first needs no token."""
+
+    async def main() -> None:
+        door = await bind_web_door(port=0)
+        lines = "Upgrade: websocket", "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA=="
+        upgrade = get("/api/v1/live", door, *lines).replace(b"Connection: close", b"Connection: Upgrade")
+        garbled = b"PUT /api/v1/1/3/objects/1017 HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nyyyyy\r\nZZ\r\n"
+        async with served(door):
+            for number in range(30):
+                for request in (garbled, upgrade + b"\x81\xff" + bytes((number * place) % 256 for place in range(500))):
+                    async with await trio.open_tcp_stream("127.0.0.1", door.port) as stream:
+                        await stream.send_all(request)
+                        with trio.move_on_after(0.01):
+                            await stream.receive_some()
+                assert (await asked(door, get("/api/v1/state", door))).startswith(b"HTTP/1.1 200")
+            assert door.failure is None
+
+    trio.run(main)
+
+
 def test_others_are_served_while_hundreds_of_connections_say_nothing() -> None:
     async def main() -> None:
         door = await bind_web_door(port=0)

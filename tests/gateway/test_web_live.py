@@ -131,6 +131,8 @@ async def test_messages_that_are_none() -> None:
             '{"k": 3}',
             '{"k": "fly"}',
             "[" * 5000,
+            '{"k": "monitor", "k": "halt"}',
+            '{"k": "watch", "objects": [[1, 3, "6064:00"]], "period": 1e-999}',
             '{"k": "jog", "chain": "arm"}',
             '{"k": "move", "n": true}',
             '{"k": "watch", "objects": [[1, 3, "6064:00"]], "period": NaN}',

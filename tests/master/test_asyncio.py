@@ -330,6 +330,32 @@ def test_the_loop_of_another_thread_is_refused_and_disturbs_nothing() -> None:
     run(test)
 
 
+def test_a_command_from_another_thread_is_refused_and_changes_nothing() -> None:
+    async def test() -> None:
+        async with simulated(3), open_master(BUS) as master:
+            node = master.node(3)
+            commands: list[Callable[[], object]] = [
+                lambda: node.start_guarding(0.1),
+                node.stop_guarding,
+                lambda: node.supervise_heartbeat(0.1),
+                lambda: node.enable_rpdo(1),
+                lambda: node.send_mpdo(1, "controlword", 15),
+                lambda: master.sync_start(0.01),
+                master.sync_stop,
+            ]
+
+            def elsewhere() -> None:
+                for command in commands:
+                    with pytest.raises(LocalProtocolError, match="another event loop, or thread"):
+                        command()
+
+            await asyncio.to_thread(elsewhere)
+            assert (node.remote.guarding.guard_time, node.remote.heartbeat.timeout, master.sync_period) == (0, 0, 0)
+            assert not node.was_enabled
+
+    run(test)
+
+
 def test_neither_trio_nor_a_thread_is_needed() -> None:
     script = """
 import asyncio, sys, threading

@@ -435,11 +435,26 @@ def test_an_interrupt_right_before_or_behind_a_wake_loses_none(
     loop = background.loop
     monkeypatch.setattr(Waker, "wake", interrupted)
     while interrupts:
-        if comes_late:  # below the lock: neither task may need it meanwhile
+        if comes_late:
             until(lambda: loop._front_waits and loop._dispatcher_waits)
         with pytest.raises(KeyboardInterrupt):
             background.call(Place.wait)
     assert background.call(Place.answer) == 42
+
+
+def test_a_signal_handler_may_call_in_the_midst_of_a_call(background: Background[Place], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither task of the loop may need anything that the interrupted call holds. Each would serve one call all the same."""
+    wake, answers = Waker.wake, list[int]()
+
+    def interrupted(waker: Waker) -> None:
+        if not answers:
+            monkeypatch.setattr(Waker, "wake", wake)
+            answers.extend(background.call(Place.answer) for _ in range(5))
+        wake(waker)
+
+    monkeypatch.setattr(Waker, "wake", interrupted)
+    assert background.call(Place.answer) == 42
+    assert answers == [42] * 5
 
 
 def test_an_interrupt_of_stop_is_raised_once_the_context_is_left() -> None:

@@ -85,6 +85,16 @@ async def test_lines_that_are_no_frames(bus: SimulatedBus) -> None:
 
 
 @trio_test(real_time=True)
+async def test_no_frame_behind_nonsense_is_lost(bus: SimulatedBus) -> None:
+    adapter = bus.plug("tty")
+    async with await opened(adapter) as transport:
+        for nonsense in (b"t08\r", b"t0809\xff\xfe\r"):
+            adapter.write(nonsense + b"".join(b"t0811%02X\r" % number for number in range(20)))
+            await reported(transport, ReceiveOverrun, match="1 received frame lost")
+            assert [(await transport.receive())[0].data[0] for _ in range(20)] == [*range(20)]
+
+
+@trio_test(real_time=True)
 async def test_half_a_frame_is_waited_for(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter) as transport:

@@ -42,9 +42,11 @@ def shut_down(bus: can.BusABC) -> None:
 
 
 def drop_garbage(bus: can.BusABC) -> None:
-    """Make a bus drop data that it has read but cannot decode."""
-    flush = getattr(bus, "flush", None)
-    if flush is not None:
+    """Make a bus drop data that it has read but cannot decode, and no more where that is known."""
+    line, flush = getattr(bus, "_buffer", None), getattr(bus, "flush", None)
+    if isinstance(line, bytearray):  # of slcan: the one line; its `flush` would drop the frames that wait behind it, too
+        line.clear()
+    elif flush is not None:
         flush()
     if hasattr(bus, _SOCKETCAND_BUFFER):
         setattr(bus, _SOCKETCAND_BUFFER, "")

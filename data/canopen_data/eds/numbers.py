@@ -23,7 +23,8 @@ import struct
 from typing import Final, TypeAlias
 
 from canopen_data.eds.ini import quoted
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, range_of
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, range_of, real_of, vanishes
+from canopen_proto.frame import MAX_NODE_ID
 
 _NUMBER: Final = re.compile(r"([+-]?)(?:0[xX]([0-9A-Fa-f]{1,32})|([0-9]{1,40}))", re.ASCII)
 _OCTAL: Final = re.compile(r"0[0-7]+", re.ASCII)
@@ -115,17 +116,20 @@ def _integer(text: str, data_type: DataType, low: int, high: int) -> Reading:
         if data_type is not DataType.BOOLEAN or text.lower() not in _WORDS:
             return _lost(text, remark)
         number, remark = _WORDS[text.lower()], "a BOOLEAN is 0 or 1"
-    if not low <= number <= high:
+    is_relative = adds_node_id and data_type is not DataType.BOOLEAN
+    least, most = (low - MAX_NODE_ID, high - 1) if is_relative else (low, high)  # one node-ID at least gives a value of the type
+    if not least <= number <= most:
         size = high - low + 1
         if low < 0 and high < number < size:
             number -= size
             if text[:2].lower() != "0x" and not remark:
                 remark = f"read as {number}, its two's complement"
-        elif low == 0 and -size // 2 <= number < 0 and data_type is not DataType.BOOLEAN:
+        elif low == 0 and -size // 2 <= number < 0 and data_type is not DataType.BOOLEAN and not is_relative:
             number += size
             remark = f"an {data_type.name} is not negative; read as 0x{number:X}"
         else:
-            return _lost(text, f"is outside {low}..{high} ({data_type.name})")
+            every = ", whatever the node-ID" if is_relative else ""
+            return _lost(text, f"is outside {low}..{high} ({data_type.name}){every}")
     if data_type is DataType.BOOLEAN:
         return _lost(text, "depends on the node-ID") if adds_node_id else (bool(number), False, _with(text, remark), False)
     return number, adds_node_id, remark and _with(text, remark), False
@@ -156,9 +160,10 @@ def _relative(text: str) -> tuple[int | None, str]:
 def _real(text: str, data_type: DataType) -> Reading:
     remark = ""
     if _REAL.fullmatch(text):
-        value = float(text)
-        if math.isinf(value) and text[-1] in "0123456789.":  # float() makes infinity of 1e400 without a word
-            return _lost(text, f"is too large for {data_type.name}")
+        try:
+            value = real_of(text)
+        except ValueError:
+            return _lost(text, f"is too {'large' if float(text) else 'small'} for {data_type.name}")
     else:
         bits = _BITS.fullmatch(text)
         layout = _REALS[data_type]
@@ -171,6 +176,8 @@ def _real(text: str, data_type: DataType) -> Reading:
                 return _lost(text, f"is no {data_type.name}")
             value = float(number)
             remark = f"{quoted(text)!r}: {remark or f'read as {value!r}'}"
+    if vanishes(value, data_type):
+        return _lost(text, f"is too small for {data_type.name}")
     try:
         encode(value, data_type)
     except ValueRangeError:

@@ -180,7 +180,7 @@ def machine_of(words: Sequence[str]) -> dict[str, object]:
     try:
         path = named[0] or by_file
         return tomllib.loads(Path(path).read_text(encoding="utf-8")) if path else {}
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}  # the command will tell
 
 

@@ -53,7 +53,7 @@ def read_configuration() -> Configuration:
 
     try:
         found: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise _unusable(f"{path} is no TOML", str(error)) from error
     for key, value in found.items():
         if key not in KEYS:

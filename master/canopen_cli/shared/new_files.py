@@ -1,7 +1,8 @@
 """Check that a new file may be written, and write it whole or not at all.
 
 Every command that writes a file which a user has named (-o, --trace, --plot ...) calls `check_new_file` before its work begins:
-an existing file is overwritten only if the user agrees, on a terminal or by --force.
+an existing file is overwritten only if the user agrees, on a terminal or by --force. One that another program has made meanwhile
+is not overwritten.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
 import click
 
@@ -19,6 +20,9 @@ from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen
 from canopen_master.plain_text import clean
 from canopen_master.whole_file import whole_file
+
+_absent: Final[set[str]] = set()
+"""The files that were not there at the check: one that is there at the end is somebody else's."""
 
 
 def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
@@ -40,6 +44,7 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
     if is_folder:
         raise CommandError(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: it is a folder", tries=("the name of a file",))
     _check_no_input(target, inputs)
+    (_absent.discard if is_file or settings.force else _absent.add)(str(path))
     if settings.force or not is_file:
         return
     if not (screen.err.is_terminal and sys.stdin.isatty()):
@@ -72,7 +77,7 @@ def write_file(path: str, data: bytes, *inputs: str) -> None:
     """Write a file as `whole_file` does. Raises a CommandError if it is one of the inputs, or cannot be written."""
     _check_no_input(Path(path), inputs)
     try:
-        with whole_file(path) as file:
+        with whole_file(path, is_new=path in _absent) as file:
             file.write(data)
     except (OSError, ValueError) as error:
         raise _cannot_write(path, error) from error
@@ -83,13 +88,20 @@ def new_file(path: str) -> Iterator[IO[bytes]]:
     """Open a file as `whole_file` does. Raises a CommandError if it cannot be opened."""
     with ExitStack() as stack:
         try:
-            file = stack.enter_context(whole_file(path))
+            file = stack.enter_context(whole_file(path, is_new=path in _absent))
         except (OSError, ValueError) as error:
             raise _cannot_write(path, error) from error
         yield file
+        try:
+            stack.close()
+        except FileExistsError as error:
+            raise _cannot_write(path, error) from error
 
 
 def _cannot_write(path: str, error: OSError | ValueError) -> CommandError:
+    if isinstance(error, FileExistsError):
+        seen = "it was not there when this command began: another program has made it"
+        return usage("CO135", f"{path} is there now, and was not overwritten", seen=seen, tries=(f"another name than {path}",))
     reason = error.strerror if isinstance(error, OSError) else error
     if isinstance(error, PermissionError):
         return CommandError(ExitCode.PERMISSION, "CO109", f"cannot write {path}: {reason}", tries=("another folder",))

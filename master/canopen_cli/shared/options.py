@@ -286,6 +286,9 @@ def with_word_at_node(words: tuple[str, ...], place: object) -> tuple[str, ...]:
     return tuple(found)
 
 
+ALL_NODES: Final = f"1-{MAX_NODE_ID}    (all node-IDs)"
+
+
 class NodeIds(TextKind):
     """Several node-IDs: "1-32,40"."""
 
@@ -295,8 +298,8 @@ class NodeIds(TextKind):
         ids: dict[int, None] = {}
         for part in text.split(","):
             first, dash, last = part.partition("-")
-            low = node_id_of(first)
-            high = node_id_of(last) if dash else low
+            low = node_id_of(first, ALL_NODES)
+            high = node_id_of(last, ALL_NODES) if dash else low
             if high < low:
                 raise usage("CO120", f"{part.strip()!r} runs backwards", tries=(f"{last.strip()}-{first.strip()}",))
             ids.update(dict.fromkeys(range(low, high + 1)))
@@ -384,8 +387,8 @@ class Breakdown(TextKind):
         return node_id_of(node), time
 
 
-def node_id_of(text: str) -> int:
-    """Return the node-ID in a text. Raises a CommandError (CO120) that says what was perhaps meant."""
+def node_id_of(text: str, instead: str = "canopen scan    (who is there?)") -> int:
+    """Return the node-ID in a text. instead: what to try. Raises a CommandError (CO120) that says what was perhaps meant."""
     text = text.strip()
     try:
         node_id = int(text, 16 if text.lower().startswith("0x") else 10)
@@ -395,11 +398,11 @@ def node_id_of(text: str) -> int:
         if colon and node.isdecimal():
             hint = (f"{node}    (the node alone: this command is about no single object)",)
         elif not hint:
-            hint = ("canopen scan    (who is there?)", "-m FILE.toml    (a machine file gives nodes names)")
+            hint = (instead, "-m FILE.toml    (a machine file gives nodes names)")
         raise usage("CO120", f"{text!r} is not a node-ID: 1 to {MAX_NODE_ID}, or hexadecimal with 0x", tries=hint) from None
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
-    raise usage("CO120", f"node-ID {text} is outside 1..{MAX_NODE_ID}", tries=("canopen scan    (who is there?)",))
+    raise usage("CO120", f"node-ID {text} is outside 1..{MAX_NODE_ID}", tries=(instead,))
 
 
 def _time_text(time: Time) -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, Final
 
 from canopen_cli.shared.problem import usage
 from canopen_data.eds.writer_values import bytes_text
-from canopen_proto.datatypes import DataType, Value, is_number, text_for_people
+from canopen_proto.datatypes import DataType, Value, is_number, real_of, text_for_people, vanishes
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.indices import COMMUNICATION_AREA
@@ -130,6 +129,8 @@ def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> 
         return _TRUTH[text.lower()]
     if is_number(kind):
         number = _number(text)
+        if number is not None and vanishes(number, kind):
+            raise usage("CO304", f"{text} is too small for {variable.label}: it would become 0", seen="nothing was sent")
         return dictionary.value_from(variable, text) if number is None else number
     if kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING):
         return text
@@ -148,12 +149,15 @@ def _number(text: str) -> int | float | None:
         pass
     try:
         # People type "007", which is no literal of Python. "1.5" for a whole number is refused later, with its range.
-        number = int(text) if text.lstrip("+-").isdecimal() else float(text)
+        if text.lstrip("+-").isdecimal():
+            return int(text)
+        float(text)
     except ValueError:
         return None
-    if isinstance(number, float) and math.isinf(number) and "inf" not in text.lower():  # 1e999, of which Python makes inf
-        raise usage("CO304", f"{text} is beyond all numbers that can be sent", seen="nothing was sent")
-    return number
+    try:
+        return real_of(text)
+    except ValueError as error:
+        raise usage("CO304", str(error), seen="nothing was sent") from None
 
 
 def identity_json(identity: Sequence[int | None]) -> dict[str, int | None]:

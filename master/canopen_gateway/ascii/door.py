@@ -113,6 +113,7 @@ class AsciiDoor:
         self.cut_off = 0
         self._listeners = list(listeners)
         self._unix = unix
+        self._unix_file = None if unix is None else _file_at(unix)
         self._dialect = dialect
         self._clients: set[_Client] = set()
         self._refusing = 0
@@ -143,7 +144,7 @@ class AsciiDoor:
         with trio.CancelScope(shield=True):
             for listener in self._listeners:
                 await listener.aclose()
-        if self._unix is not None:
+        if self._unix is not None and _file_at(self._unix) == self._unix_file:  # else another door has its socket there now
             self._unix.unlink(missing_ok=True)
 
     async def _accept(self, listener: trio.SocketListener, service: GatewayService, connections: trio.Nursery) -> None:
@@ -314,12 +315,22 @@ async def _unix_listener(path: Path) -> trio.SocketListener:
         sock.listen(BACKLOG)
     except OSError as error:
         sock.close()
-        cause = "another gateway listens there" if error.errno == errno.EADDRINUSE else ""
+        there = "another gateway listens there" if path.is_socket() else "what is there is no socket, and is left alone"
+        cause = there if error.errno == errno.EADDRINUSE else ""
         raise DoorError(f"cannot listen at {path}", seen=str(error), cause=cause, tries=("--unix with another path",)) from error
     except BaseException:
         sock.close()
         raise
     return trio.SocketListener(sock)
+
+
+def _file_at(path: Path) -> tuple[int, int] | None:
+    """Return what tells the file at a path from any other one; None if there is none."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 async def _remove_left_over(path: Path) -> None:

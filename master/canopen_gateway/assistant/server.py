@@ -14,6 +14,7 @@ from typing import Any, Final, ParamSpec
 import trio
 from mcp.server.mcpserver import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
+from mcp.server.mcpserver.tools import Tool
 from mcp.types import ToolAnnotations
 
 from canopen_gateway.assistant.bounds import bounded, from_device
@@ -174,7 +175,6 @@ def assistant_server(
 ) -> MCPServer[Any]:
     """Return the server, which speaks over any transport of its SDK. session: the client of the service that it is. more: further
     tools that only read. resources: further texts, by their URIs."""
-    server: MCPServer[Any] = MCPServer("canopen", instructions=INSTRUCTIONS, log_level="WARNING")
     tools = MachineTools(service, session)
     for net in service.nets:
         service.traffic(net)  # from now on, so that `findings` knows what was before it is asked
@@ -182,12 +182,13 @@ def assistant_server(
         tools.machine_state, tools.find_nodes, tools.find_objects, tools.read_object, tools.explain_drive, tools.explain_code,
         tools.bus_load, tools.findings, *more,
     )  # fmt: skip
-    for read in reads:
-        server.tool(annotations=READS, structured_output=False)(_told(read))
-    server.tool(annotations=CHANGES, structured_output=False)(_told(tools.halt))
-    if service.guard.allowed:
-        for change in (tools.write_object, tools.nmt):
-            server.tool(annotations=CHANGES, structured_output=False)(_told(change))
+    changes = (tools.halt, tools.write_object, tools.nmt) if service.guard.allowed else (tools.halt,)
+    server: MCPServer[Any] = MCPServer(
+        "canopen",
+        instructions=INSTRUCTIONS,
+        log_level="WARNING",
+        tools=[*(_exact_tool(each, READS) for each in reads), *(_exact_tool(each, CHANGES) for each in changes)],
+    )
     server.resource("canopen://machine", name="machine", mime_type="application/json")(tools.machine_state)
 
     server.resource("canopen://findings", name="findings", mime_type="application/json")(tools.findings)
@@ -199,6 +200,17 @@ def assistant_server(
         return await tools.find_objects(find_node(node), "", net)
 
     return server
+
+
+def _exact_tool(function: Callable[..., Awaitable[str]], annotations: ToolAnnotations) -> Tool:
+    """Return a tool that refuses an argument that it does not have, and one of another type. The SDK drops the one and converts
+    the other: a subindex that was named apart would write subindex 0, and `true` would be node 1."""
+    tool = Tool.from_function(_told(function), annotations=annotations, structured_output=False)
+    arguments = tool.fn_metadata.arg_model
+    arguments.model_config |= {"extra": "forbid", "strict": True}
+    arguments.model_rebuild(force=True)
+    tool.parameters = arguments.model_json_schema(by_alias=True)
+    return tool
 
 
 def _told(tool: Callable[P, Awaitable[str]]) -> Callable[P, Awaitable[str]]:

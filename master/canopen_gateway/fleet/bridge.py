@@ -47,7 +47,7 @@ from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_bus, parse_key
 from canopen_gateway.fleet.leading import RemoteLead
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import bytes_of, find_object
+from canopen_gateway.places import bytes_of, find_object, json_said
 from canopen_gateway.plain_data import names_of_nodes, object_data, value_data
 from canopen_gateway.service import GatewayService, GatewaySession, HeardOnNet
 from canopen_master import MasterError, Node
@@ -591,9 +591,9 @@ def _unit_of(node: Node, mux: Mux) -> str:
 
 def _value(payload: bytes) -> Value:
     try:
-        value = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise QueryRefusedError("the value is no JSON") from error
+        value = json_said(payload)
+    except ValueError as error:
+        raise QueryRefusedError(f"the value is no JSON that is understood: {error}") from error
     return value  # type: ignore[no-any-return]  # `bytes_of` looks whether it fits
 
 

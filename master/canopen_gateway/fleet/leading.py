@@ -11,14 +11,13 @@ lease and is not heard for 300 ms by the clock of this computer has it no longer
 
 from __future__ import annotations
 
-import json
 import secrets
 from collections.abc import Mapping
 from typing import Any, Final
 
 from canopen_gateway.errors import LeaseError, QueryRefusedError
 from canopen_gateway.lease import Lease
-from canopen_gateway.places import number_said
+from canopen_gateway.places import json_said, number_said
 
 LEAST_PROOF: Final = 16
 """The fewest signs by which a client proves itself."""
@@ -86,9 +85,9 @@ class RemoteLead:
 
 def _mapping(payload: bytes) -> Mapping[str, Any]:
     try:
-        said = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise QueryRefusedError("the payload is no JSON") from error
+        said = json_said(payload)
+    except ValueError as error:
+        raise QueryRefusedError(f"the payload is no JSON that is understood: {error}") from error
     if not isinstance(said, dict):
         raise QueryRefusedError("the payload is no JSON object")
     return said

@@ -30,7 +30,7 @@ from typing import Any, Final
 
 import trio
 
-from canopen_gateway.errors import GatewayError
+from canopen_gateway.errors import GatewayError, first_of
 from canopen_gateway.fleet.keys import ROOT, check_name, name_of_bus
 from canopen_gateway.mqtt.broker import BrokerAddress, BrokerLink, BrokerLogin, check_secret
 from canopen_gateway.places import check_object, find_object
@@ -104,8 +104,8 @@ class MqttDoor:
 
     async def serve(self, service: GatewayService, begun: Callable[[], object] | None = None) -> None:
         """Tell the broker until cancelled. begun: called once nothing can be refused any more; the broker may still be away.
-        Raises GatewayFullError; ValueError if two buses would have one name;
-        ObjectNotFoundError for an object to read that no dictionary at hand knows by this name."""
+        Returns early only if the door itself fails; see `failure`. Raises GatewayFullError; ValueError if two buses would have
+        one name; ObjectNotFoundError for an object to read that no dictionary at hand knows by this name."""
         self._names = {net: name_of_bus(net) for net in service.nets}
         if len(set(self._names.values())) < len(self._names):
             raise ValueError("two buses would have one name: give them names in a machine file")
@@ -117,13 +117,20 @@ class MqttDoor:
                 service.master.watch((PdoReceived,), partial(self._hear, net), service.master.bus(net)) for net in service.nets
             ]
             try:
-                async with trio.open_nursery() as nursery:
-                    self._begin(nursery)
-                    if begun is not None:
-                        begun()
+                if begun is not None:
+                    begun()
+                await self._tell_all()
             finally:
                 for watcher in watchers:
                     service.master.unwatch(watcher)
+
+    async def _tell_all(self) -> None:
+        try:
+            async with trio.open_nursery() as nursery:
+                self._begin(nursery)
+        except* Exception as failed:  # noqa: BLE001 - whatever it is, it ends this door alone
+            self.failure = first_of(failed)
+            LOGGER.warning("the door to a broker is closed: %s", self.failure)
 
     def _begin(self, nursery: trio.Nursery) -> None:
         for net in self._service.nets:

@@ -114,6 +114,14 @@ def number_asked_for(text: str, least: float, most: float, what: str) -> float:
     return number
 
 
+def whole_number_asked_for(text: str, least: int, most: int, what: str) -> int:
+    """Return a whole number that was asked for. Raises ValueError for what is none, or is out of its range."""
+    is_whole = text.isascii() and text.isdecimal() and len(text) < 19
+    if not is_whole or not least <= int(text) <= most:
+        raise ValueError(f"{text[:40]!r} is no whole number of {what}: {least} to {most}")
+    return int(text)
+
+
 class _BusFrames(NamedTuple):
     """The frames of one bus. zero: ns from its times to the time of day. slices: how many frames are missing before each, and its
     frames."""

@@ -9,7 +9,6 @@ Each request asks the service like any other client: its guard, its limits and i
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from functools import partial
@@ -40,11 +39,11 @@ from canopen_gateway.errors import (
     first_line,
 )
 from canopen_gateway.nmt_words import nmt_command
-from canopen_gateway.places import find_axis, find_node
+from canopen_gateway.places import find_axis, find_node, json_said
 from canopen_gateway.plain_data import Plain, error_data, view_data
 from canopen_gateway.traffic.network_views import NetworkViews
 from canopen_gateway.traffic.ring import CAPACITY
-from canopen_gateway.traffic.trace import LONGEST, TrafficTrace, number_asked_for
+from canopen_gateway.traffic.trace import LONGEST, TrafficTrace, number_asked_for, whole_number_asked_for
 from canopen_gateway.web.live import LiveClient, LiveHub
 from canopen_gateway.web.metrics import METRICS_TYPE, metrics_text
 from canopen_gateway.web.openapi import description
@@ -181,7 +180,7 @@ class WebApi:
         service = self.subject.machine("a trace of frames")
         nets = [self._net(request)] if "net" in request.path_params else service.nets
         seconds = number_asked_for(request.query_params.get("seconds", str(LONGEST)), 0.0, LONGEST, "seconds")
-        frames = int(number_asked_for(request.query_params.get("frames", "0"), 0, CAPACITY, "frames"))
+        frames = whole_number_asked_for(request.query_params.get("frames", "0"), 0, CAPACITY, "frames")
         if self._traces >= MOST_TRACES:
             raise GatewayFullError("traces at a time", MOST_TRACES)
         self._traces += 1
@@ -390,9 +389,9 @@ async def _chunks(trace: TrafficTrace) -> AsyncIterator[bytes]:
 
 async def _body(request: Request) -> Plain:
     try:
-        body = json.loads(await request.body())
-    except (ValueError, RecursionError):
-        raise ValueError("the body is no JSON") from None
+        body = json_said(await request.body())
+    except ValueError as error:
+        raise ValueError(f"the body is no JSON that is understood: {error}") from None
     if not isinstance(body, dict):
         raise ValueError("the body has to be a JSON object")
     return body

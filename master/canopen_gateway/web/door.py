@@ -18,9 +18,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import hypercorn.trio.run
 import trio
 from hypercorn.config import Config
 from hypercorn.trio import serve
+from hypercorn.trio.tcp_server import TCPServer
 
 from canopen_gateway.errors import DoorError, first_of
 from canopen_gateway.guard import Permission
@@ -48,6 +50,21 @@ PING: Final = 5.0
 LOOPBACK: Final = ("localhost", "127.0.0.1", "[::1]")
 NAME: Final = "the web door"
 LOGGER: Final = logging.getLogger("canopen_gateway")
+
+
+class _Connection(TCPServer):
+    """A connection that ends alone. In hypercorn an error of one ends the server, and a client without a token can cause some: by
+    a body whose chunks are garbled, or words behind the beginning of a WebSocket."""
+
+    async def run(self) -> None:
+        try:
+            await super().run()
+        except* Exception as failed:  # noqa: BLE001 - whatever a client made of it
+            LOGGER.info("a connection of the web door has failed: %r", first_of(failed))
+            await trio.aclose_forcefully(self.stream)
+
+
+hypercorn.trio.run.TCPServer = _Connection  # type: ignore[attr-defined]  # it has no other way to be given one
 
 
 class WebDoor:

@@ -41,6 +41,7 @@ from canopen_master.plain_text import clean
 from canopen_proto import NmtCommand
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import fold_name
 from canopen_proto.drives.axis.view import DriveView
 
 NEVER_ALLOWED: Final = frozenset({Permission.MOTION, Permission.LSS})
@@ -228,8 +229,10 @@ class FleetSubject(WebSubject):
         place = number_of_object(text)
         if place is None:
             self.guard.require(Permission.WRITE, "writing")  # nobody is asked for a name in vain
-            paths = [row["path"] for row in await self.objects(net, node_id) if row["name"] == text]
-            place = number_of_object(paths[0]) if len(paths) == 1 else None
+            rows = await self.objects(net, node_id)
+            named = [row for row in rows if row["name"] == text]
+            named = named or [row for row in rows if fold_name(row["name"]) == fold_name(text)]  # as a dictionary compares
+            place = number_of_object(named[0]["path"]) if len(named) == 1 else None
         if place is None:
             raise NoSuchPlaceError(f"{net}/{node_id} has no object {text[:60]!r}", seen="its bridge tells of none, or of several")
         self.guard.require_write(*place)

@@ -32,7 +32,6 @@ counted. What a dialogue says has a room of its own (MOST_SAID): it has the file
 
 from __future__ import annotations
 
-import json
 import logging
 import secrets
 import time
@@ -47,7 +46,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from canopen_gateway.commissioning import ClientConversation, check_commissioning, commission
 from canopen_gateway.errors import GatewayError, first_of
-from canopen_gateway.places import find_node, number_said
+from canopen_gateway.places import find_node, json_said, number_said
 from canopen_gateway.plain_data import EXPECTED, Plain, error_data
 from canopen_gateway.traffic import FrameWish
 from canopen_gateway.traffic.trace import MOST_NAME
@@ -209,12 +208,12 @@ class LiveClient:
                 continue
             kind = ""
             try:
-                message = json.loads(text[:MAX_MESSAGE])
+                message = json_said(text[:MAX_MESSAGE])
                 if not isinstance(message, dict) or not isinstance(message.get("k"), str):
                     raise ValueError("a message is a JSON object with a kind, k")
                 kind = message["k"][:20]
                 self._take(message, nursery)
-            except (GatewayError, *EXPECTED, TypeError, RecursionError) as error:
+            except (GatewayError, *EXPECTED, TypeError) as error:
                 self.put(json_text({"k": "error", "about": kind, **error_data(error)}))
 
     def _take(self, message: dict[str, Any], nursery: trio.Nursery) -> None:

@@ -29,8 +29,8 @@ from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import trio
 
-from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Work, forked, held_in_shared_loop
-from canopen_master.errors import CallTimeoutError, MasterClosedError
+from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Work, held_in_shared_loop
+from canopen_master.errors import CallTimeoutError, MasterClosedError, forked
 from canopen_master.plain_text import clean_lines
 from canopen_master.seconds import check_seconds
 from canopen_proto.machine import LocalProtocolError

@@ -1089,7 +1089,9 @@ class BlockingMaster(MasterTwin):
         return self._hub.do(self._inner.bus, name)
 
     def check_open(self) -> None:
-        """Raise BusError if a bus has failed, MasterClosedError if the master has been left."""
+        """Raise BusError if a bus has failed, MasterClosedError if the master has been left; LocalProtocolError in a process that
+        was forked from its own.
+        """
         self._hub.do(self._inner.check_open)
 
     def nmt(self, command: NmtCommand, node_id: int = 0, *, bus: str | None = None, timeout: float | None = None) -> None:

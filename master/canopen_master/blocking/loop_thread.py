@@ -24,8 +24,6 @@ from typing import Final, Protocol
 
 import trio
 
-from canopen_proto.machine import LocalProtocolError
-
 WATCH_INTERVAL: Final = 0.05
 """The most seconds until the end of a thread is noticed."""
 LOOK_UP: Final = 0.5
@@ -70,7 +68,7 @@ class LoopThread:
         self._nursery: trio.Nursery | None = None
         self._spare: list[_Server] = []  # the tasks that wait
         self._jobs: deque[Callable[[], Work | None]] = deque()
-        self._lock = threading.RLock()  # for the next three; a signal handler may enter it that comes in the middle
+        self._end = threading.RLock()  # for what was handed over at the end of the loop
         self._wakers: tuple[Waker, Waker] | None = None  # of the front and of the dispatcher; None before and after
         self._front_waits = False
         self._dispatcher_waits = False
@@ -116,16 +114,18 @@ class LoopThread:
 
         job: must not raise. Not for a child process: there is nobody who would call it.
         """
-        with self._lock:
-            if self._wakers is None:
-                return False
-            self._jobs.append(job)
-            if self._front_waits:
-                self._wakers[0].wake()
-                self._front_waits = False  # behind the wake, and by the task, too: an interrupt may come between any two lines
-            elif self._dispatcher_waits:
-                self._wakers[1].wake()
-                self._dispatcher_waits = False
+        self._jobs.append(job)  # before the look who waits: a task says that it waits before it looks at the jobs
+        wakers = self._wakers  # no lock: the loop would stand still while a signal handler, here, waits for it
+        if wakers is None:
+            with self._end:
+                if job not in self._jobs:
+                    return True
+                self._jobs.remove(job)
+            return False
+        if self._front_waits:
+            wakers[0].wake()
+        elif self._dispatcher_waits:
+            wakers[1].wake()
         return True
 
     def _run(self) -> None:
@@ -145,11 +145,9 @@ class LoopThread:
                 nursery.start_soon(self._dispatch, wakers[1])
                 self._has_begun.set()
         finally:
-            with self._lock:
+            with self._end:
                 self._wakers = None
-                for waker in wakers:
-                    waker.close()
-            self._do_jobs()  # those of contexts that have ended: each is told so
+                self._do_jobs()  # those of contexts that have ended: each is told so
 
     async def _hold(self, hold: Holdable) -> None:
         try:
@@ -167,9 +165,8 @@ class LoopThread:
         scope = trio.CancelScope()
         with scope:
             while not scope.cancel_called:
-                with self._lock:
-                    self._front_waits = waits = not self._jobs
-                await (waker.wait() if waits else trio.lowlevel.checkpoint())
+                self._front_waits = True
+                await (trio.lowlevel.checkpoint() if self._jobs else waker.wait())
                 self._front_waits = False
                 work = self._do_jobs()
                 for each in work[1:]:
@@ -182,9 +179,8 @@ class LoopThread:
     async def _dispatch(self, waker: Waker) -> None:
         """Do what is handed over while the front is busy, and give the work in it to other tasks."""
         while True:
-            with self._lock:
-                self._dispatcher_waits = waits = not self._jobs
-            await (waker.wait() if waits else trio.lowlevel.checkpoint())
+            self._dispatcher_waits = True
+            await (trio.lowlevel.checkpoint() if self._jobs else waker.wait())
             self._dispatcher_waits = False
             for work in self._do_jobs():
                 self._give(work)
@@ -246,7 +242,8 @@ def _abort(_: object) -> trio.lowlevel.Abort:
 
 
 class Waker:
-    """Wakes a task of the loop from any thread: at half the cost of what trio has for all."""
+    """Wakes a task of the loop from any thread: at half the cost of what trio has for all. It is closed when nobody has it any
+    more: not while a thread is in the midst of `wake`."""
 
     def __init__(self) -> None:
         self._sockets: tuple[socket.socket, socket.socket] | None = None
@@ -280,21 +277,12 @@ class Waker:
             except BlockingIOError:
                 return
 
-    def close(self) -> None:
-        """Give back what it has of the operating system."""
+    def __del__(self) -> None:
         if self._sockets is None:
             os.close(self._fd)
         else:
             for each in self._sockets:
                 each.close()
-
-
-def forked() -> LocalProtocolError:
-    """Return the error for the use of a master in a child process."""
-    return LocalProtocolError(
-        "this master belongs to the process that this one was forked from, and so do its thread and its bus; "
-        "open a master of its own here, or start processes by the method `spawn`"
-    )
 
 
 _shared: LoopThread | None = None

@@ -426,11 +426,15 @@ class Bus:
 
     def fail(self) -> None:
         """Drop what waits: nothing more can be sent."""
-        self.failed = True
+        self.silence()
         self._tell_held()
+        self._sent.unpark_all()
+
+    def silence(self) -> None:
+        """Send nothing any more, and wake nobody."""
+        self.failed = True
         self._first.clear()
         self._sdo.clear()
-        self._sent.unpark_all()
 
     async def flush(self) -> None:
         """Wait until the transport has all frames, also those queued during the wait, or the bus has failed."""

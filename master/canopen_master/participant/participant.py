@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, Final, Protocol, TypeVar
 
-from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError
+from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError, forked
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher, check_callback, event_kinds
 from canopen_master.participant.pump import Pump
@@ -36,7 +36,7 @@ from canopen_proto.procedures.steps import Procedure, all_of, current_time
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from canopen_transports import Transport, TransportError
-from canopen_transports.loop import CancelScope, current_loop, protected
+from canopen_transports.loop import CancelScope, NoLoopError, current_loop, protected
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)
@@ -126,16 +126,25 @@ class Participant:
         return self.buses[name]
 
     def check_open(self) -> None:
-        """Raise BusError if a bus has failed, MasterClosedError if the master has been left."""
+        """Raise BusError if a bus has failed, MasterClosedError if the master has been left; LocalProtocolError in a process that
+        was forked from its own."""
+        if self._pump.is_inherited:
+            raise forked()
         if self.failure is not None:
             raise self.failure
         if self.is_closed:
             raise MasterClosedError
 
-    def _check_loop(self) -> None:
-        """Raise LocalProtocolError in another run of a loop than this master's, mostly one of another thread: nobody would wake
-        the task when its answer comes."""
-        if current_loop().token() is not self._token:
+    def check_loop(self) -> None:
+        """Raise LocalProtocolError where another run of a loop than this master's, or none, calls: mostly in another thread.
+        Nobody would wake the task when its answer comes, and the loop may be in the middle of the same machine."""
+        if self._pump.is_inherited:
+            raise forked()
+        try:
+            is_ours = current_loop().token() is self._token
+        except NoLoopError:
+            is_ours = False
+        if not is_ours:
             raise LocalProtocolError(
                 "this master belongs to another event loop, or thread, than the one that runs here; "
                 "hand over to its own, or use canopen_master.blocking, which any thread may call"
@@ -151,6 +160,7 @@ class Participant:
         command: also as its number. Raises LocalProtocolError for a number that is no command, and for another node-ID.
         """
         self.check_open()
+        self.check_loop()
         try:
             command = NmtCommand(command)
         except ValueError:
@@ -197,6 +207,7 @@ class Participant:
         import canopen_proto.observer.observer  # noqa: F401 - an error would import it, for 40 ms, between two SYNCs
 
         self.check_open()
+        self.check_loop()
         now, period_ns = self.now(), nanoseconds("period", period, above_zero=True)
         self._before_ordered_sync(now)
         for bus in self._own_buses:
@@ -207,6 +218,7 @@ class Participant:
     @protected
     def sync_stop(self) -> None:
         """Stop sending SYNC periodically."""
+        self.check_loop()
         if self.sync_period:
             self._without_sync = self.now() if self._looking is None else self._looking[1]
         for bus in self._own_buses:
@@ -217,6 +229,7 @@ class Participant:
     async def send_sync(self) -> None:
         """Send one SYNC on all buses; return when it is on its way. A running period keeps its phase."""
         self.check_open()
+        self.check_loop()
         now = self.now()
         self._before_ordered_sync(now)
         for sync in self._sync.values():
@@ -289,7 +302,7 @@ class Participant:
         """Give a command with an outcome. The caller waits for the outcome, or takes the request back. submit: gives the command
         at a time, and returns its RequestId."""
         self.check_open()
-        self._check_loop()
+        self.check_loop()
         return OpenRequest(self._pump, self._dispatcher, bus, remote, submit)
 
     @protected
@@ -300,7 +313,7 @@ class Participant:
         longer for a drive that still slows down). Raises the procedure's own error: a ProcedureError.
         """
         self.check_open()
-        self._check_loop()
+        self.check_loop()
         place = ProcedureSlot(self)
         place.begin(procedure)
         result: T = await place.outcome()

@@ -24,17 +24,23 @@ them is late, all are, and a device waits for the overdue heartbeat of its maste
 as the timeout of a request that was answered, is not due, and costs nothing. The timekeeper sleeps by the finest timer that the
 platform has (alarm.py); however late it is, SYNC keeps its phase.
 
+**A child by `os.fork`** has copies of all this, but buses and loop are its parent's: the kernel has one list of what the loop
+waits for, for both. So nothing is sent there, and commands are refused. A child that goes on in the loop would make its parent
+deaf, and is ended.
+
 **When a bus fails**, its tasks end, what is queued for it is dropped, and `on_failure` is told once; the other buses run on until
 they are stopped. A bug in the core is told in the same way, and the pump runs on, so that drives can still be halted.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Final, TypeAlias
 
+from canopen_master.errors import forked
 from canopen_master.participant.alarm import Alarm, best_alarm
 from canopen_master.participant.bus import MAX_BATCH, Bus
 from canopen_proto.explained import counted
@@ -56,6 +62,7 @@ MAX_LOOKS: Final = 4
 QUIET_TICKS: Final = 3
 """A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
 
+_all: Final[set[Pump]] = set()  # those of all loops of this process that run
 _pumps: RunVar[set[Pump]] = RunVar(set)  # those of this run of the loop that run
 
 
@@ -95,6 +102,7 @@ class Pump:
         self._alarm: Alarm | None = None
         self._wake: Time = NEVER  # what the alarm is set for
         self._is_pumping = False
+        self.is_inherited = False
         self._received = 0
         outs = [bus.network.out for bus in self.buses]
         self._said = tuple((bus, out.frames, out.events) for bus, out in zip(self.buses, outs, strict=True))
@@ -166,6 +174,7 @@ class Pump:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
         end_looks = self._loop.before_sleep(self._look)
         self._running.add(self)
+        _all.add(self)
         try:
             with self._loop.holding_interrupts(), self._scope:
                 async with self._loop.open_nursery() as nursery:
@@ -178,12 +187,24 @@ class Pump:
                     task_status.started()
         finally:
             self._running.discard(self)
+            _all.discard(self)
             for bus in self.buses:
                 bus.push_to(None)
             end_looks()
 
+    def leave_to_parent(self) -> None:
+        """In a child by `fork`: send nothing, and let the loop not go on."""
+        self.is_inherited = True
+        for bus in self.buses:
+            bus.silence()
+        if self._loop.cancels_at_end:  # asyncio.run: it would cancel, and forget sockets, before the loop sleeps
+            self._token.run_sync_soon(self._look, None)
+
     def _look(self, timeout: float | None) -> None:
         """Look at the machines before the loop sleeps."""
+        if self.is_inherited:
+            os.write(2, f"this child process is ended, since it goes on in its parent's event loop: {forked()}\n".encode())
+            os._exit(1)
         if any(self._left):
             self._token.run_sync_soon(self.pump, idempotent=True)  # which ends this sleep at once
 
@@ -342,3 +363,12 @@ class Pump:
             cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
             error.__cause__ = cause
         self._on_failure(bus, error)
+
+
+def _leave_to_parent() -> None:
+    for each in tuple(_all):
+        each.leave_to_parent()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_leave_to_parent)

@@ -144,7 +144,9 @@ def variables(
     def value(field: str) -> tuple[Any, bool]:
         if field not in said:
             return None, False
-        return draw(values(data_type, in_file=True)), data_type in _WITH_NODE_ID and draw(st.booleans())
+        found = draw(values(data_type, in_file=True))
+        limits = range_of(data_type) if data_type in _WITH_NODE_ID else None
+        return found, limits is not None and found != limits[1] and draw(st.booleans())  # the greatest fits no node-ID
 
     def text(field: str) -> str:
         return draw(texts()) if field in said else ""
