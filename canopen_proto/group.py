@@ -14,7 +14,7 @@ Nothing is copied from layer to layer: a nested outbox shares its frames and eve
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from heapq import heapify, heappop, heappush
 from types import TracebackType
 from typing import Final
@@ -32,20 +32,22 @@ class Members:
 
     routes: by key, the machines that want its frames, in the order of their attachment. receivers: by key, what to hand these
     frames to, see `Machine.receiver_of`. lone: for the lowest keys, as a list, the one receiver; None if there are none or
-    several. In place of an `Entrance` it has the machine behind it: whoever hands that a frame lets its group settle. heap: the
-    wakes that are held, the nearest first.
+    several. In place of an `Entrance` it has the machine behind it: whoever hands that a frame lets its group settle. changed:
+    for a group, the keys whose receivers are others than when the members around it last asked. heap: the wakes that are held,
+    the nearest first.
     """
 
-    __slots__ = ("_keys", "_out", "_sequence", "heap", "lone", "receivers", "routes")
+    __slots__ = ("_keys", "_out", "_sequence", "changed", "heap", "lone", "receivers", "routes")
 
     def __init__(self, out: Outbox, lone: int = 0) -> None:
         """lone: how many keys to have in that list, for a group that is handed every frame of a bus."""
         self._out = out
-        self._keys: dict[Machine, tuple[RoutingKey, ...]] = {}
+        self._keys: dict[Machine, dict[RoutingKey, None]] = {}
         self.heap: list[tuple[Time, int, Machine]] = []
         self._sequence = 0
         self.routes: dict[RoutingKey, tuple[Machine, ...]] = {}
         self.receivers: dict[RoutingKey, tuple[Machine, ...]] = {}
+        self.changed: set[RoutingKey] = set()
         self.lone: list[Machine | None] = [None] * lone
 
     def __iter__(self) -> Iterator[Machine]:
@@ -60,7 +62,7 @@ class Members:
             raise LocalProtocolError(f"{type(machine).__name__} was made with another Outbox than that of what it is attached to")
         if machine in self._keys:
             return
-        self._keys[machine] = ()
+        self._keys[machine] = {}
         machine._is_attached = True
         self._route(machine)
         self._announce()
@@ -88,25 +90,47 @@ class Members:
 
     def _unroute(self, machine: Machine) -> None:
         for key in self._keys[machine]:
-            self._set_route(key, tuple(other for other in self.routes[key] if other is not machine))
+            self._leave(key, machine)
 
     def _route(self, machine: Machine) -> None:
-        self._unroute(machine)
-        self._keys[machine] = keys = tuple(dict.fromkeys(machine.can_ids()))
+        """Ask a machine anew what it wants. Only what changed is touched: a group that scans a bus has hundreds of keys."""
+        before, changed = self._keys[machine], machine.take_changed()
+        self._keys[machine] = keys = dict.fromkeys(machine.can_ids())
+        for key in before:
+            if key not in keys:
+                self._leave(key, machine)
         for key in keys:
-            sharers = {*self.routes.get(key, ()), machine}
-            # Sorted by attachment, wherever a machine that changed its CAN-IDs comes from.
-            self._set_route(key, tuple(member for member in self._keys if member in sharers) if len(sharers) > 1 else (machine,))
+            if key not in before:
+                self._join(key, machine)
+            elif key in changed:
+                place, receivers = self.routes[key].index(machine), self.receivers[key]
+                self.receivers[key] = (*receivers[:place], machine.receiver_of(key), *receivers[place + 1 :])
+                self._on_change(key)
 
-    def _set_route(self, key: RoutingKey, machines: tuple[Machine, ...]) -> None:
-        if machines:
-            self.routes[key] = machines
-            self.receivers[key] = tuple(machine.receiver_of(key) for machine in machines)
-        else:
-            del self.routes[key], self.receivers[key]
+    def _join(self, key: RoutingKey, machine: Machine) -> None:
+        receivers = dict(zip(self.routes.get(key, ()), self.receivers.get(key, ()), strict=True))
+        receivers[machine] = machine.receiver_of(key)
+        # Sorted by attachment, wherever a machine that changed its CAN-IDs comes from.
+        order = tuple(each for each in self._keys if each in receivers) if len(receivers) > 1 else (machine,)
+        self.routes[key], self.receivers[key] = order, tuple(receivers[each] for each in order)
+        self._on_change(key)
+
+    def _leave(self, key: RoutingKey, machine: Machine) -> None:
+        place, machines, receivers = self.routes[key].index(machine), self.routes.pop(key), self.receivers.pop(key)
+        if len(machines) > 1:
+            self.routes[key] = (*machines[:place], *machines[place + 1 :])
+            self.receivers[key] = (*receivers[:place], *receivers[place + 1 :])
+        self._on_change(key)
+
+    def _on_change(self, key: RoutingKey) -> None:
+        receivers = self.receivers.get(key, ())
         if key < len(self.lone):
-            receiver = self.receivers[key][0] if len(machines) == 1 else None
+            receiver = receivers[0] if len(receivers) == 1 else None
             self.lone[key] = receiver.machine if type(receiver) is Entrance else receiver
+        if receivers and self._out.owner is not None:
+            self.changed.add(key)
+        else:
+            self.changed.discard(key)
 
     def refresh(self) -> None:
         """Apply what the members announced: changed CAN-IDs and nearer deadlines."""
@@ -194,6 +218,11 @@ class Group(Machine):
     def can_ids(self) -> Iterable[RoutingKey]:
         self._members.refresh()
         return tuple(self._members.routes)
+
+    def take_changed(self) -> Collection[RoutingKey]:
+        self._members.refresh()
+        changed, self._members.changed = self._members.changed, set()
+        return changed
 
     def receive(self, frame: Frame, now: Time) -> None:
         if self.inner.rerouted:

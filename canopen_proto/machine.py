@@ -26,7 +26,7 @@ and in `out.rerouted` when its `can_ids()` change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any, ClassVar, Final, TypeAlias
 
 from canopen_proto.compiling import mypyc_attr
@@ -195,6 +195,10 @@ class Machine:
     def receiver_of(self, key: RoutingKey) -> Machine:
         """Return the machine whose `receive` gets the frames with a routing key: itself, or one with the look-ups done."""
         return self
+
+    def take_changed(self) -> Collection[RoutingKey]:
+        """Return the keys, of those it wanted before, whose `receiver_of` became another one since this was last asked."""
+        return ()
 
     def handle_timeout(self, now: Time) -> None:
         """Act on the time that has passed. An early call does nothing; a late call is still right."""

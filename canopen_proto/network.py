@@ -137,7 +137,7 @@ class Network:
             raise LocalProtocolError(f"the {type(machine).__name__} is attached already")
         machine.check_beside(self._members)
         self._members.attach(machine)
-        if isinstance(machine, Follower):
+        if hasattr(machine, "on_nmt_command") and isinstance(machine, Follower):  # that takes 9 µs in Python 3.11
             self._followers = self._followers | {machine: machine}
 
     def detach(self, machine: Machine) -> None:

@@ -27,6 +27,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as ReadOnlyDict
+from functools import lru_cache
 from operator import itemgetter
 from typing import Any, Final
 
@@ -57,6 +58,9 @@ LAST_DUMMY_INDEX: Final = 0x001B
 """UNSIGNED64, the last data type code with a fixed width."""
 
 MAX_BOOLEAN_BITS: Final = 8
+
+_MOST_KNOWN: Final = 1024
+"""So many mappings of one dictionary are kept, however many a peer writes: all PDOs of a device."""
 
 _ALIGNED: Final = {8: "b", 16: "h", 32: "i", 64: "q"}  # struct's letters by width; in upper case they are unsigned
 _WHOLE: Final = (DataType.REAL32, DataType.REAL64, DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)
@@ -173,10 +177,17 @@ class Mapping:
         """Return the mapping for a line of PDOs.csv."""
         return cls(MappedEntry.of(entry) for entry in description.entries)
 
-    @classmethod
-    def from_parameters(cls, parameters: Iterable[int], dictionary: ObjectDictionary) -> Mapping:
+    @staticmethod
+    def from_parameters(parameters: Iterable[int], dictionary: ObjectDictionary) -> Mapping:
         """Return the mapping for the values of sub 1, 2 ... of a mapping parameter. Raises MappingError."""
-        return cls(MappedEntry.from_parameter(parameter, dictionary) for parameter in parameters)
+        known, key = _known(dictionary), tuple(parameters)
+        mapping = known.get(key)
+        if mapping is None:
+            mapping = Mapping([MappedEntry.from_parameter(parameter, dictionary) for parameter in key])
+            if len(known) >= _MOST_KNOWN:
+                known.clear()
+            known[key] = mapping
+        return mapping
 
     @classmethod
     def from_values(cls, values: Values, index: int) -> Mapping:
@@ -420,6 +431,12 @@ class _BooleanField(_Field):
 
     def read(self, bits: int) -> bool:
         return bits >> self.offset & self.mask != 0
+
+
+@lru_cache(maxsize=32)
+def _known(dictionary: ObjectDictionary) -> dict[tuple[int, ...], Mapping]:
+    """Return the mappings of a dictionary that were made: all its devices map much the same, and again at each start."""
+    return {}
 
 
 def _field(entry: MappedEntry, offset: int) -> _Field:

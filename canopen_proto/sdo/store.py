@@ -10,11 +10,21 @@ either what the next one needs or an abort code.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import Time
+
+
+@lru_cache(maxsize=32)
+def _tables(dictionary: ObjectDictionary) -> tuple[dict[int, Variable], dict[int, Variable]]:
+    """Return the objects that can be read, and those that can be written, by mux: once for all devices with a dictionary."""
+    readable: dict[int, Variable] = {each.mux: each for each in dictionary if each.access.readable}
+    writable: dict[int, Variable] = {each.mux: each for each in dictionary if each.access.writable}
+    return readable, writable
 
 
 class ValuesStore:
@@ -25,10 +35,9 @@ class ValuesStore:
     def __init__(self, values: Values) -> None:
         self.values = values
         self.dictionary: ObjectDictionary = values.dictionary
-        # By mux, built once: a dictionary never changes. An object in neither table is looked up again to find out why.
-        # The key is made in each access without a call of `mux`, which costs as much as the look-up.
-        self._readable: dict[int, Variable] = {each.mux: each for each in self.dictionary if each.access.readable}
-        self._writable: dict[int, Variable] = {each.mux: each for each in self.dictionary if each.access.writable}
+        # An object in neither table is looked up again to find out why. The key is made in each access without a call of `mux`,
+        # which costs as much as the look-up.
+        self._readable, self._writable = _tables(self.dictionary)
 
     # ---- the ObjectStore ----
 

@@ -211,7 +211,8 @@ class GatewayService:
             self.attach(net, scanner)
             try:
                 with self.under_way:
-                    silent = [each for each in ALL_NODE_IDS if each not in bus.network.heard_nodes()]  # nobody else asks these
+                    heard = bus.network.heard_nodes()
+                    silent = [each for each in ALL_NODE_IDS if each not in heard]  # nobody else asks these
                     await self.master.run(scan(scanner, silent, listen=SEARCH_LISTENS))
             finally:
                 self.detach(net, scanner)

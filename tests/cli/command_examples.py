@@ -13,6 +13,7 @@ import os
 import re
 import tomllib
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -293,6 +294,18 @@ def write_schema(command: str, documents: list[Any], commands: Sequence[str] = t
     whole["commands"] = {each: whole["commands"][each] for each in commands if each in whole["commands"]}
     text = json.dumps(described({**whole, "version": VERSION}, descriptions()), indent=1, ensure_ascii=False)
     SCHEMAS.write_text(f"{text}\n", encoding="utf-8")
+    validator_of.cache_clear()
+
+
+@cache
+def validator_of(command: str | None) -> Any:
+    """What holds a document against the schema of a command; None: a line of stderr. test_command_table.py looks at
+    the schemas themselves: `jsonschema.validate` would do so for each document."""
+    jsonschema = pytest.importorskip("jsonschema")
+    whole = json.loads(SCHEMAS.read_text(encoding="utf-8"))
+    assert command is None or command in whole["commands"], "CANOPEN_WRITE_SCHEMAS=1: see this file's text"
+    schema = strict(whole["stderr"] if command is None else whole["commands"][command])
+    return jsonschema.validators.validator_for(schema)(schema)
 
 
 def descriptions() -> dict[str, str]:
@@ -309,11 +322,9 @@ def json_that_fits(command: str, outcome: Outcome) -> Any:
 
 def fit_their_schema(command: str, text: str) -> None:
     """Hold what a command has answered against its schema, for a command that does it only in a test of its own."""
-    jsonschema = pytest.importorskip("jsonschema")
     documents = documents_of(text)
     assert documents
     if os.environ.get("CANOPEN_WRITE_SCHEMAS"):
         write_schema(command, documents)
-    schema = strict(json.loads(SCHEMAS.read_text(encoding="utf-8"))["commands"][command])
     for document in documents:
-        jsonschema.validate(document, schema)
+        validator_of(command).validate(document)

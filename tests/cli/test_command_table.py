@@ -31,6 +31,7 @@ from tests.cli.command_examples import (
     merged,
     schema_of,
     strict,
+    validator_of,
     write_schema,
 )
 from tests.cli.test_clean import paths
@@ -165,12 +166,10 @@ def answers_its_schema(run: Run, command: str, words: tuple[str, ...]) -> None:
     documents = documents_of(outcome.out)
     if os.environ.get("CANOPEN_WRITE_SCHEMAS") and documents:
         write_schema(command, documents, COMMANDS)
-    whole = json.loads(SCHEMAS.read_text(encoding="utf-8"))
-    assert documents == [] or command in whole["commands"], "CANOPEN_WRITE_SCHEMAS=1: see command_examples.py"
     for document in documents:
-        jsonschema.validate(document, strict(whole["commands"][command]))
+        validator_of(command).validate(document)
     for line in documents_of(outcome.err):
-        jsonschema.validate(line, strict(whole["stderr"]))
+        validator_of(None).validate(line)
 
 
 OF_A_BUS = [command for command in COMMANDS if EXAMPLES[command][-2:] == ("-b", "demo")]

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
 from typing import Any, TypeVar
 
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Machine, Outbox, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
@@ -37,6 +37,8 @@ MAX_STEPS = 2_000_000  # a machine whose deadline does not move, or two that cha
 
 
 Ended = ProcedureFinished | ProcedureFailed | ProcedureCancelled
+ENDED = (ProcedureFinished, ProcedureFailed, ProcedureCancelled)
+"""The same, for what looks at each event."""
 
 
 def result_of(ended: Ended) -> Any:
@@ -92,7 +94,7 @@ class Bus:
         self._pause = pause
         self._frame_time = frame_time
         self.disturb(delay, loss, copies, late_copies, reordering)
-        self._fates: Iterator[Fate] = iter(fates)
+        self._fates: Iterator[Fate] | None = iter(fates)
         self._on_the_way: list[tuple[Time, int, Outbox, Frame]] = []
         self._count = 0
         self._last_arrival: dict[tuple[int, int], Time] = {}  # per receiver and key: order within a CAN-ID is kept
@@ -197,17 +199,17 @@ class Bus:
 
     def outcome(self, request_id: RequestId, limit: Time = 600 * SECOND) -> Ended:
         """Run until a procedure has ended; return how."""
-        found: list[Ended] = []
+        end = self.now + limit
         seen = 0
-
-        def has_ended() -> bool:
-            nonlocal seen
-            new, seen = self.events[seen:], len(self.events)
-            found.extend(event for event in new if isinstance(event, Ended) and event.request_id == request_id)
-            return bool(found)
-
-        self.run_until(has_ended, limit)
-        return found[0]
+        self.pump()
+        while True:
+            if len(self.events) != seen:
+                for event in self.events[seen:]:
+                    if isinstance(event, ENDED) and event.request_id == request_id:
+                        return event
+                seen = len(self.events)
+            assert self._happen(NEVER), "the bus is idle and the procedure has not ended"
+            assert self.now <= end, f"the procedure has not ended after {limit} ns"
 
     def take_events(self, kind: type[E]) -> list[E]:
         """The events of one type; they are taken out of `events`."""
@@ -249,7 +251,7 @@ class Bus:
                 self._schedule(frame, receiver)
 
     def _schedule(self, frame: Frame, receiver: Outbox) -> None:
-        fate = self._fate()
+        fate = Fate.DELIVERED if self._is_plain and self._fates is None else self._fate()
         if fate is Fate.LOST:
             return
         arrival = self.now + (self._delay[0] if self._is_plain else self._random.randint(*self._delay))
@@ -259,7 +261,8 @@ class Bus:
         if fate is Fate.PAUSED:
             arrival += self._pause
         last = (id(receiver), frame.key)
-        arrival = max(arrival, self._last_arrival.get(last, -NEVER) + self._frame_time)
+        if last in self._last_arrival:
+            arrival = max(arrival, self._last_arrival[last] + self._frame_time)
         self._enter(arrival, receiver, frame)
         if fate is Fate.COPIED:
             self._enter(arrival, receiver, frame)
@@ -272,19 +275,26 @@ class Bus:
         heapq.heappush(self._on_the_way, (arrival, self._count, receiver, frame))
 
     def _fate(self) -> Fate:
-        fate = next(self._fates, None)
-        if fate is not None:
-            return fate
+        if self._fates is not None:
+            fate = next(self._fates, None)
+            if fate is not None:
+                return fate
+            self._fates = None
         for fate, odds in self._odds:
             if self._random.random() < odds:
                 return fate
         return Fate.DELIVERED
 
     def _deliver(self, receiver: Outbox, frame: Frame) -> None:
-        key = frame.key
         for machine in self.machines:
-            if machine.out is receiver and key in machine.can_ids():
+            if machine.out is receiver and self._wants(machine, frame.key):
                 machine.receive(frame, self.now)
+
+    def _wants(self, machine: Machine | Network, key: RoutingKey) -> bool:
+        if not isinstance(machine, Network):
+            return key in machine.can_ids()
+        machine._members.refresh()  # as its `can_ids` does, which makes a tuple of hundreds
+        return key in machine._members.routes
 
 
 class Wire(Bus):

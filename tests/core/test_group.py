@@ -79,6 +79,52 @@ def test_a_member_that_changes_its_can_ids_while_it_receives() -> None:
     assert set(box.can_ids()) == {2}
 
 
+def test_a_key_that_a_group_keeps_goes_to_those_who_want_it_now() -> None:
+    """The members around the group hold where its frames go in; they ask again for what changed inside, however deep."""
+    network = Network()
+    outer = Box(network.out)
+    inner = Box(outer.inner)
+    a, b = (Alarm(inner.inner, name, [1]) for name in "ab")
+    outer.put(inner)
+    network.attach(outer)
+
+    def heard() -> str:
+        network.receive(Frame(1), 0)
+        return names(network.out.events)
+
+    inner.put(a)
+    assert heard() == "a"
+    inner.put(b)
+    assert heard() == "a b"
+    inner.take(a)
+    assert heard() == "b"
+    a.listen(1)
+    b.listen(2)
+    inner.put(a)
+    assert heard() == "a"
+    a.listen(2)
+    b.listen(1)
+    assert heard() == "b"
+    network.detach(outer)
+    inner.take(b)
+    inner.put(b, a)
+    a.listen(1)
+    network.attach(outer)
+    assert heard() == "a b"
+
+
+def test_a_group_keeps_note_of_no_more_than_its_routes() -> None:
+    box = Box(Outbox())
+    nested = Box(box.inner)
+    alarm = Alarm(nested.inner, "a", [1])
+    nested.put(alarm)
+    for key in range(100):
+        alarm.listen(key)
+        nested.can_ids()
+    assert set(nested.take_changed()) == {99}
+    assert set(nested.take_changed()) == set()
+
+
 def test_a_standing_alone_group_hears_at_once_what_a_command_to_a_member_asked_for() -> None:
     box = Box(Outbox())
     alarm = Alarm(box.inner, "a", [1])

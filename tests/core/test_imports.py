@@ -63,7 +63,7 @@ print(*sorted(poisoned))
 
 def imports_of(tree: ast.AST) -> set[str]:
     for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             node.body = []  # read by type checkers and mypyc, never run
     found: set[str] = set()
     for node in ast.walk(tree):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime
 import math
 import struct
+from dataclasses import replace
+from itertools import product
 
 import pytest
 from hypothesis import assume, given
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length_of, is_integer, is_signed
 from canopen_proto.dictionary import Access, Direction, Filler, Object, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.pdo.mapping import MappedEntry, Mapping, MappingError, may_have_width
+from canopen_proto.pdo.mapping import _MOST_KNOWN, MappedEntry, Mapping, MappingError, _known, may_have_width
 from canopen_testing.strategies import pdo_mappings
 
 U8, U16, U32, U64 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32, DataType.UNSIGNED64
@@ -332,6 +334,20 @@ def test_more_entries_than_a_pdo_has_and_multiplexed_pdos_are_no_mapping(count: 
     values.store[0x1A0000] = count
     with pytest.raises(MappingError, match="64 entries at most"):
         Mapping.from_values(values, 0x1A00)
+
+
+def test_a_mapping_is_made_once_for_all_devices_of_a_dictionary() -> None:
+    mine, other = dictionary(), ObjectDictionary([Object.of("status", [replace(STATUS_WORD, name="status")])])
+    assert Mapping.from_parameters([0x60410010], mine) is Mapping.from_parameters((0x60410010,), mine)
+    assert Mapping.from_parameters([0x60410010], mine).labels == ("statusword",)
+    assert Mapping.from_parameters([0x60410010], other).labels == ("status",)
+
+
+def test_of_all_that_a_peer_maps_little_is_kept() -> None:
+    described = dictionary()
+    for entries in product((0x00010001, 0x00050002), repeat=11):  # 2048 of them
+        assert Mapping.from_parameters(entries, described).parameters == entries
+    assert 0 < len(_known(described)) <= _MOST_KNOWN
 
 
 # ---- against a reference model that goes bit by bit
