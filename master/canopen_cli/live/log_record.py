@@ -67,15 +67,15 @@ def record(
     files = _Files(target, rotate, keep, lambda text: screen.say(f"[yellow]{escape(text)}[/]"))
 
     async def listen() -> None:
-        try:
-            async with time_left(screen, "recording", seconds):
-                with trio.move_on_after(seconds):
-                    await _record(settings, screen, choice, files, seconds)
-            files.close()
-        finally:
-            files.give_up()
+        async with time_left(screen, "recording", seconds):
+            with trio.move_on_after(seconds):
+                await _record(settings, screen, choice, files, seconds)
 
-    run_until_interrupted(settings, screen, listen)
+    try:
+        run_until_interrupted(settings, screen, listen)
+        files.close()
+    finally:
+        files.give_up()
     if settings.json:
         screen.json(
             {
