@@ -151,8 +151,8 @@ LSS_MUTANTS: Final = tuple(
         (
             "missed_switch_stays_pending",
             _RATE_COMMAND,
-            "        await lss.run(take_back(lss.tool, lss.pace, change.old))",
-            "        pass",
+            "        await lss.run(take_back(lss.tool, lss.pace, change.old))  # those",
+            "        pass  # those",
             "a device that missed the switch stores the bit rate of which the user was told that nobody has stored it",
             COMMANDS,
         ),

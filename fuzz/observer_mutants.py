@@ -125,7 +125,7 @@ OBSERVER_MUTANTS: Final = tuple(
         (
             "record_into_no_file",
             f"{_LIVE}/log_record.py",
-            "        if _identity(part.path) == self._is:\n",
+            "        if file_at(part.path) == self._is:\n",
             "        if True:\n",
             "the file is removed or renamed, and what is recorded from then on is in no file",
             RECORD,

@@ -55,9 +55,10 @@ def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate
     wait. addresses: all devices on the bus.
 
     With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled,
-    and when another LSS master is heard (LssError), by `take_back`.
+    and when another LSS master is heard (LssError), by `take_back`. Nothing at all is sent if it was heard before.
     """
     index, old = index_of(bit_rate), index_of(present)
+    yield from require_alone(tool)  # else `take_back` would put the devices that the other has selected beside all others
     prepared: list[LssAddress] = []
     try:
         for address in addresses:
@@ -131,7 +132,7 @@ def activate(tool: LssTool, delay: Time = DELAY) -> Procedure[None]:
     """Let all devices switch. Returns when the first delay (ns, whole ms) is over: the caller switches its interface at once.
 
     Meanwhile nothing may be sent: no SYNC, no heartbeat. Then wait for the same time again before anything is sent.
-    Raises LssError, with nothing sent, if another LSS master is at work.
+    Raises LssError, with nothing sent, if another LSS master is at work: then call `take_back`.
     """
     yield from require_alone(tool)
     for _ in range(2):

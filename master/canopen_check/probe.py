@@ -11,6 +11,7 @@ from typing import Final
 
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
 from canopen_proto.machine import Event, Machine, Outbox, Time
+from canopen_proto.nmt import ALL_NODES
 
 MAX_HEARD: Final = 10_000
 """The most frames that are kept: ten seconds of heartbeats each millisecond, the most that any case counts."""
@@ -92,12 +93,13 @@ class Bystander(Machine):
     device, by NMT or on its SDO channel; None: there was none.
     """
 
-    __slots__ = ("_keys", "_node_id", "command", "nodes")
+    __slots__ = ("_addressed", "_keys", "_node_id", "command", "nodes")
 
     def __init__(self, out: Outbox, node_id: int) -> None:
         """node_id: of the device under test."""
         super().__init__(out)
         self._node_id = node_id
+        self._addressed = bytes((ALL_NODES,)), bytes((node_id,))
         self._keys = NMT, RoutingKey(SDO_CLIENT_TO_SERVER + node_id)
         self.nodes: set[int] = set()
         self.command: Frame | None = None
@@ -113,5 +115,5 @@ class Bystander(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         if frame.key not in self._keys:
             self.nodes.add(frame.can_id - ERROR_CONTROL)
-        elif self.command is None:
+        elif self.command is None and (frame.key != NMT or frame.data[1:2] in self._addressed):
             self.command = frame

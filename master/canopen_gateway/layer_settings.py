@@ -27,7 +27,7 @@ from canopen_proto.lss import (
     in_order,
 )
 from canopen_proto.lss.messages import number_of
-from canopen_proto.lss.scan import Known, Pace, all_waiting, ask, identity_of_selected, matches, search
+from canopen_proto.lss.scan import Known, Pace, all_waiting, ask, identity_of_selected, matches, require_alone, search
 from canopen_proto.machine import MILLISECOND, RequestId, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, act
 
@@ -49,9 +49,11 @@ class LayerSettings:
         self._guard.require(Permission.LSS, what)
 
     async def switch_global(self, state: LssState) -> None:
-        """Send all slaves into a state; nobody answers. Raises NotAllowedError, as all commands here."""
+        """Send all slaves into a state; nobody answers. Raises NotAllowedError, as all commands here; LssError, with nothing
+        sent, for "configuration" while another LSS master is at work: what it writes would go to all devices."""
         async with self._in_turn("switch state global") as tool:
-            await self._master.run(act(lambda now: tool.master.switch_global(state, now)))
+            is_safe = state is LssState.WAITING
+            await self._master.run(_tell(tool, lambda now: tool.master.switch_global(state, now), alone=not is_safe))
             self.is_selected = state is LssState.CONFIGURATION
 
     async def select(self, address: LssAddress) -> bool:
@@ -75,9 +77,10 @@ class LayerSettings:
         return answer[1] if service is LssService.INQUIRE_NODE_ID else number_of(answer)
 
     async def activate_bit_timing(self, delay: Time) -> None:
-        """Let the selected devices switch their bit rate. delay: ns, whole ms. Our own interface stays as it is."""
+        """Let the selected devices switch their bit rate. delay: ns, whole ms. Our own interface stays as it is. Raises LssError,
+        with nothing sent, while another LSS master is at work: it may have selected others."""
         async with self._in_turn("activate bit timing") as tool:
-            await self._master.run(act(lambda now: tool.master.activate_bit_timing(delay, now)))
+            await self._master.run(_tell(tool, lambda now: tool.master.activate_bit_timing(delay, now)))
 
     async def fastscan(self, known: Known, window: Time) -> LssAddress | None:
         """Find and select the device without a node-ID that has the lowest address; None if there is none. known: numbers of its
@@ -113,6 +116,14 @@ class LayerSettings:
                 self._bus.network.attach(self._tool)
                 self._bus.renew_filters()
             yield self._tool
+
+
+def _tell(tool: LssTool, give: Callable[[Time], object], *, alone: bool = True) -> Procedure[None]:
+    """Give a command that no device answers. Raises LssError, with nothing sent, if another LSS master is heard. alone: False:
+    give it all the same. give: gives it, at a time."""
+    if alone:
+        yield from require_alone(tool)
+    yield from act(give)
 
 
 def _selected(tool: LssTool, address: LssAddress) -> Procedure[bool]:

@@ -1,4 +1,4 @@
-"""`whole_file`: a file that is written whole, or stays as it was."""
+"""`whole_file`: a file that is written whole, or stays as it was. `file_at`: which file is at a path."""
 
 from __future__ import annotations
 
@@ -59,3 +59,12 @@ def _mode_of(path: str | Path) -> int | None:
         return os.stat(path).st_mode
     except FileNotFoundError:
         return None
+
+
+def file_at(path: Path) -> tuple[int, int] | None:
+    """Return what tells the file at a path from any other one, also of the same name; None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

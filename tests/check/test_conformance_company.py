@@ -74,7 +74,7 @@ def test_the_sync_of_another_node_is_named(number: str) -> None:
 
 def test_what_fails_without_a_command_of_another_master_fails() -> None:
     goes_on = Fault("goes on", heard=[("605#2B17100000000000", "605#2B17100064000000")])
-    for company in (["77F#05", "100#112233441122", "606#4000100000000000"], ["7E5#5100000000800000"]):
+    for company in (["77F#05", "100#112233441122", "606#4000100000000000", "000#0106"], ["7E5#5100000000800000"]):
         assert results(in_company(30 * MILLISECOND, *company, fault=goes_on), "7.103")["7.103"].result is Result.FAILED
 
 

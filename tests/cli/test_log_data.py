@@ -6,6 +6,7 @@ import csv
 import datetime
 import errno
 import json
+import signal
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ from canopen_transports import VirtualTransport
 from canopen_transports.candump_text import CandumpWriter
 from canopen_transports.log_files import LogReader
 from canopen_transports.record import Record
-from tests.cli.cli_support import Run, runner_in_folder
+from tests.cli.cli_support import Alarm, Run, runner_in_folder
 
 BEGIN = 1_700_000_000
 LOG = f"""\
@@ -262,6 +263,24 @@ def test_a_full_disk_is_told_with_the_file_and_what_is_in_it(run: Run, monkeypat
     error = json.loads(outcome.err.splitlines()[-1])
     assert error["message"] == "cannot write new.log"
     assert error["seen"] == f"No space left on device; {room} frames were written before: new.log"
+
+
+@pytest.mark.parametrize("end", ["Ctrl-C", "--for"])
+@pytest.mark.usefixtures("simulations")
+def test_a_file_that_cannot_be_ended_is_told(run: Run, monkeypatch: pytest.MonkeyPatch, alarm: Alarm, end: str) -> None:
+    """The disk is full as the last frames go to it: they are not in the file."""
+
+    def close(writer: CandumpWriter) -> None:
+        writer._file.close()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(CandumpWriter, "close", close)
+    if end == "Ctrl-C":
+        alarm.set((1.0, signal.SIGINT))
+    outcome = run("log", "record", "new.log", "-b", "demo", "--for", "60s" if end == "Ctrl-C" else "1s")
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "cannot write new.log" in outcome.err
+    assert "No space left on device" in outcome.err
 
 
 def test_a_recording_of_weeks_has_the_time_of_day(run: Run) -> None:

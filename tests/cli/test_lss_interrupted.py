@@ -10,10 +10,13 @@ import trio
 from canopen_cli.lss import rate
 from canopen_cli.shared.problem import ExitCode
 from canopen_master.simulation.serving import SimulatedDevices
-from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssConfiguration, LssState
-from canopen_proto.lss.scan import Survey
+from canopen_proto.frame import frame_for_key
+from canopen_proto.lss import bit_rate
+from canopen_proto.lss.messages import FROM_MASTER, UNCONFIGURED, LssAddress, LssConfiguration, LssState
+from canopen_proto.lss.scan import LssTool, Survey
 from canopen_proto.lss.slave import LssSlave
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.machine import Time
+from canopen_proto.procedures.steps import Procedure, current_time
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.servo import DriveSettings
 from canopen_transports import TransportError
@@ -91,6 +94,25 @@ def test_ctrl_c_says_which_bit_rate_the_devices_have(
         assert {slave.pending for slave in slaves} <= {
             slave.pending._replace(bit_rate=each) for each in (0, 500) for slave in slaves
         }
+
+
+def test_a_bit_rate_that_another_master_keeps_from_being_switched_is_taken_back(
+    run: Run, simulations: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the other one stores it, unseen, with the next node-ID that it gives."""
+
+    def activate(tool: LssTool, delay: Time) -> Procedure[None]:
+        now = yield from current_time()
+        assert {node.lss.pending.bit_rate for node in simulations[-1].drives.values()} == {250}
+        tool.master.receive(frame_for_key(FROM_MASTER, bytes(8)), now)
+        return (yield from bit_rate.activate(tool, delay))
+
+    monkeypatch.setattr(rate, "activate", activate)
+    outcome = run(*RATE)
+    assert "another LSS master is at work on this bus: it sent 7E5#0000000000000000" in outcome.err
+    slaves = [node.lss for node in simulations[-1].drives.values()]
+    assert {slave.pending.bit_rate for slave in slaves} == {500}
+    assert {slave.state for slave in slaves} == {LssState.WAITING}
 
 
 def test_a_bit_rate_is_not_changed_while_a_device_may_hide_others(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

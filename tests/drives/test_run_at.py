@@ -102,6 +102,22 @@ def test_with_a_controlword_that_goes_by_a_synchronous_rpdo(mode: Mode) -> None:
     assert not rig.master.runner.busy
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_once_it_runs_only_what_its_watch_needs_is_read(mode: Mode) -> None:
+    """Each other read, of its ramp or its jerk, would be a time in which nobody looks at its limits."""
+    rig = rig_with()
+    rig.node.values.store[objects.MOTION_PROFILE_TYPE] = 3
+    rig.master.run(drive.run_at(rig.axis, 10.0, mode=mode), rig.bus.now)
+    rig.bus.run(5 * SECOND)
+    assert speed(rig) == pytest.approx(10)
+    frames = [frame for _, frame in rig.bus.sent if frame.key == 0x605]
+    target = {Mode.PROFILE_VELOCITY: 0x60FF, Mode.VELOCITY: 0x6042}[mode]
+    is_target = [int.from_bytes(each.data[1:3], "little") == target and any(each.data[4:]) for each in frames]
+    read = {int.from_bytes(each.data[1:3], "little") for each in frames[is_target.index(True) :] if each.data[0] == 0x40}
+    assert 0x6064 in read
+    assert read <= {0x6041, 0x6043, 0x6044, 0x6061, 0x6064, 0x606C}
+
+
 @pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", MODES)
 def test_the_ramps_are_those_asked_for(mode: Mode) -> None:

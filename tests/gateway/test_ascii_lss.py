@@ -5,8 +5,9 @@ from __future__ import annotations
 import trio
 
 from canopen_master.simulation.serving import drive_maker
+from canopen_proto.frame import frame_for_key
 from canopen_proto.gateway import LELY
-from canopen_proto.lss.messages import UNCONFIGURED, LssState
+from canopen_proto.lss.messages import FROM_MASTER, UNCONFIGURED, LssService, LssState
 from canopen_proto.lss.scan import NOTHING_KNOWN
 from canopen_proto.machine import MILLISECOND
 from tests.gateway.gateway_world import gateway, text_client
@@ -151,3 +152,21 @@ async def test_nobody_to_be_found() -> None:
         assert await client.say("[5] lss_switch_glob 1") == "[5] OK"
         assert await client.say("[6] lss_get_node") == "[6] 0x03"
         assert await client.say("[7] lss_switch_glob 0") == "[7] OK"
+
+
+@virtual_time
+async def test_while_another_lss_master_is_at_work_nothing_is_sent_that_its_devices_would_take() -> None:
+    """With all devices in "configuration", what the other one writes to one of them would go to each."""
+    async with text_client(allow="lss", makers=devices(2)) as (host, client):
+        assert await client.say("[1] lss_switch_glob 0") == "[1] OK"
+        host.nodes[0].out.frames.append(frame_for_key(FROM_MASTER, bytes((LssService.INQUIRE_NODE_ID,)).ljust(8, b"\x00")))
+        host.pump()
+        await trio.sleep(0.1)
+        for line in ("lss_switch_glob 1", "lss_activate_bitrate 100", "lss_ident_nonconf"):
+            answer = await client.say(f"[2] {line}")
+            assert answer.startswith("[2] ERROR:103 #another LSS master is at work on this bus: it sent 7E5#5E"), (line, answer)
+        assert {node.lss.state for node in host.nodes} == {LssState.WAITING}
+        assert not any(node.lss.is_silent for node in host.nodes)
+        assert await client.say("[3] lss_switch_glob 0") == "[3] OK"
+        await trio.sleep(5.0)
+        assert await client.say("[4] lss_switch_glob 1") == "[4] OK"

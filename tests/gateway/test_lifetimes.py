@@ -79,8 +79,7 @@ async def visit(host: Host, master: Master, arm: Chain, service: GatewayService)
 def counted() -> Counter[str]:
     gc.collect()
     kinds = (type(each) for each in gc.get_objects())
-    # str: a class whose objects have modules of their own shows a descriptor there
-    return Counter(kind.__name__ for kind in kinds if str(kind.__module__).startswith("canopen_"))
+    return Counter(kind.__name__ for kind in kinds if str(kind.__module__).startswith("canopen_"))  # of some it is no text
 
 
 @pytest.mark.parametrize("turn", [subscribe, transfer, follow, fail, visit])

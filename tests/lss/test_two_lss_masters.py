@@ -87,11 +87,14 @@ def test_nothing_is_written_while_another_master_was_heard() -> None:
     bench.bus.run(SECOND)
     bench.bus.events.clear()  # the requests of the other have the same numbers
     began = bench.sent(LssService.CONFIGURE_NODE_ID)
-    with pytest.raises(LssError, match=r"it sent 7E5#0400000000000000 \d+ ms ago"):
-        bench.run(give(bench.tool, bench.pace, ADDRESSES[0], 33))
+    switched = bench.sent(LssService.SWITCH_GLOBAL)
     for procedure in (activate(bench.tool), prepare(bench.tool, bench.pace, ADDRESSES[:1], 500, 1000)):
         with pytest.raises(LssError, match="another LSS master"):
             bench.run(procedure)
+    assert bench.sent(LssService.SWITCH_GLOBAL) == switched, "what the other has selected would be selected beside all others"
+    assert bench.sent(LssService.CONFIGURE_BIT_TIMING) == 0
+    with pytest.raises(LssError, match=r"it sent 7E5#0400000000000000 \d+ ms ago"):
+        bench.run(give(bench.tool, bench.pace, ADDRESSES[0], 33))
     assert bench.sent(LssService.CONFIGURE_NODE_ID) == began
     assert bench.sent(LssService.ACTIVATE_BIT_TIMING) == 0
     assert bench.ids == [UNCONFIGURED]

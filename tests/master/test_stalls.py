@@ -456,6 +456,19 @@ def test_how_long_the_computer_slept() -> None:
     assert found == [0, 700, 0, 0]
 
 
+def test_a_stall_between_the_looks_at_the_two_clocks_is_told_once_and_at_once() -> None:
+    """Else the next SYNC, which is on time, would count as late."""
+    now, stalls = 1_000, [0, 0, 500, 0]
+
+    def clock() -> int:
+        nonlocal now
+        found, now = now, now + (stalls.pop(0) if stalls else 0)
+        return found
+
+    watch = SleepWatch(clock, clock)
+    assert [watch.slept() for _ in range(3)] == [500, 0, 0]
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not have these two clocks")
 def test_the_clocks_of_this_computer_are_watched_in_real_time_alone() -> None:
     async def watch() -> SleepWatch | None:

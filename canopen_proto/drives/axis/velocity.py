@@ -139,6 +139,7 @@ class _Run:
         self.measured: float | None = None
         self._is_reached = False
         self._began: Time = 0
+        self._reach: Time = 0  # how long it may take to reach its velocity
         self._looked: tuple[Time, int] | None = None
 
     # ---- before it moves ----
@@ -314,6 +315,7 @@ class _Run:
         yield from bring(axis, target, 0)
         for key, value in self._ramps.items():
             yield from write(axis.node, key, value)
+        self._reach = yield from self._time_to_reach()  # now: once it runs, only its limits may be looked at
         yield from set_mode(axis, self._mode)
         yield from enable(axis)
         yield from command(axis, int(Command.ENABLE_OPERATION))
@@ -339,7 +341,6 @@ class _Run:
         if self._mode is not Mode.VELOCITY:
             del reads[objects.VL_VELOCITY_DEMAND]
         present = {key: pause for key, pause in reads.items() if key in axis.node.dictionary}
-        reach = yield from self._time_to_reach()
         end = NEVER if duration is None else self._began + duration
         watch: DriveWait[bool] = DriveWait(axis, "its velocity", mode=self._mode, stays=State.OPERATION_ENABLED, reads=present)
 
@@ -349,7 +350,7 @@ class _Run:
                 self._is_reached = True
                 axis.started_at = OBEYED
                 self._tell()
-            is_over = heard_at >= end or (not self._is_reached and heard_at - self._began >= reach)
+            is_over = heard_at >= end or (not self._is_reached and heard_at - self._began >= self._reach)
             return True if is_over else None
 
         yield from watch.until(judge, NEVER)
@@ -358,7 +359,7 @@ class _Run:
             if self.measured is None and watch.heard(key) is not None and isinstance(shown, int):
                 self.measured = axis.scale.way_from_counts(shown * unit)
         if not self._is_reached and (yield from current_time()) < end:
-            raise (yield from late(axis, f"did not reach {self._velocity:g} within {reach / SECOND:g} s"))
+            raise (yield from late(axis, f"did not reach {self._velocity:g} within {self._reach / SECOND:g} s"))
 
     @property
     def _shown(self) -> dict[Mux, float]:

@@ -22,6 +22,7 @@ from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.time_left import time_left
+from canopen_master.whole_file import file_at
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.log_files import LOSSES, log_writer
@@ -30,7 +31,7 @@ from canopen_transports.record import LogWriter, Record
 NAMED: Final = "%Y%m%d-%H%M%S"
 """Of the time in the name of each file, with --rotate."""
 LOOK: Final = 10 * SECOND
-"""How often it is seen to that the file is still there."""
+"""Between two looks whether the file is still there."""
 
 
 @command("record")
@@ -67,15 +68,15 @@ def record(
     files = _Files(target, rotate, keep, lambda text: screen.say(f"[yellow]{escape(text)}[/]"))
 
     async def listen() -> None:
-        try:
-            async with time_left(screen, "recording", seconds):
-                with trio.move_on_after(seconds):
-                    await _record(settings, screen, choice, files, seconds)
-            files.close()
-        finally:
-            files.give_up()
+        async with time_left(screen, "recording", seconds):
+            with trio.move_on_after(seconds):
+                await _record(settings, screen, choice, files, seconds)
 
-    run_until_interrupted(settings, screen, listen)
+    try:
+        run_until_interrupted(settings, screen, listen)
+        files.close()
+    finally:
+        files.give_up()
     if settings.json:
         screen.json(
             {
@@ -173,7 +174,7 @@ class _Files:
         if self._rotate is not None or self._is is not None:
             path = _free(path)
         self._writer = log_writer(path)
-        self._is, self._look_at = _identity(path), time + LOOK
+        self._is, self._look_at = file_at(path), time + LOOK
         self._parts.append(_FileOfRun(path))
         while self._keep is not None and len(self._parts) > self._keep:
             oldest = self._parts.pop(0).path
@@ -187,7 +188,7 @@ class _Files:
         looked for."""
         self._look_at = time + LOOK
         part = self._parts[-1]
-        if _identity(part.path) == self._is:
+        if file_at(part.path) == self._is:
             return False
         self._end()
         self._parts.pop()
@@ -227,14 +228,6 @@ def _free(path: Path) -> Path:
         number += 1
         found = path.with_stem(f"{path.stem}-{number}")
     return found
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
 
 
 async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files, seconds: float) -> None:

@@ -241,7 +241,11 @@ async def _switch(settings: Settings, screen: Screen, change: RateChange, addres
             )
         change.story = f"the devices may be at {change.new} kbit/s already, and our interface perhaps is not; {change.way_back}"
         async with time_left(screen, "silent before the switch", change.delay / SECOND):
-            await lss.run(activate(lss.tool, change.delay))
+            try:
+                await lss.run(activate(lss.tool, change.delay))
+            except CommandError:  # another LSS master is at work: nothing was switched
+                await lss.run(take_back(lss.tool, lss.pace, change.old))
+                raise
     started = trio.current_time()
     if change.command:
         await _run_command(change)

@@ -35,6 +35,7 @@ from canopen_gateway.errors import DoorError, GatewayFullError
 from canopen_gateway.limits import Limits
 from canopen_gateway.listening import BACKLOG, SEND_BUFFER, address_of, open_listeners
 from canopen_gateway.service import GatewayService
+from canopen_master.whole_file import file_at
 from canopen_proto.gateway import CANOPENNODE, Dialect, GatewayAnswer, GatewayCode, GatewayLines, print_answer
 from canopen_transports.loop.beside import beside
 from canopen_transports.tcp.address import is_loopback
@@ -113,7 +114,7 @@ class AsciiDoor:
         self.cut_off = 0
         self._listeners = list(listeners)
         self._unix = unix
-        self._unix_file = None if unix is None else _file_at(unix)
+        self._unix_file = None if unix is None else file_at(unix)
         self._dialect = dialect
         self._clients: set[_Client] = set()
         self._refusing = 0
@@ -144,7 +145,7 @@ class AsciiDoor:
         with trio.CancelScope(shield=True):
             for listener in self._listeners:
                 await listener.aclose()
-        if self._unix is not None and _file_at(self._unix) == self._unix_file:  # else another door has its socket there now
+        if self._unix is not None and file_at(self._unix) == self._unix_file:  # else another door has its socket there now
             self._unix.unlink(missing_ok=True)
 
     async def _accept(self, listener: trio.SocketListener, service: GatewayService, connections: trio.Nursery) -> None:
@@ -322,15 +323,6 @@ async def _unix_listener(path: Path) -> trio.SocketListener:
         sock.close()
         raise
     return trio.SocketListener(sock)
-
-
-def _file_at(path: Path) -> tuple[int, int] | None:
-    """Return what tells the file at a path from any other one; None if there is none."""
-    try:
-        found = path.lstat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
 
 
 async def _remove_left_over(path: Path) -> None:

@@ -20,12 +20,18 @@ class SleepWatch:
     def __init__(self, going_on: Callable[[], Time], standing_still: Callable[[], Time]) -> None:
         """going_on: the time, ns, which passes while the computer sleeps too. standing_still: that which does not."""
         self._going_on, self._standing_still = going_on, standing_still
-        self._before = going_on() - standing_still()
+        self._before = self._apart()
 
     def slept(self) -> Time:
         """Return for how long the computer has slept since the last call, ns."""
-        before, self._before = self._before, self._going_on() - self._standing_still()
+        before, self._before = self._before, self._apart()
         return max(0, self._before - before)
+
+    def _apart(self) -> Time:
+        standing_still = (
+            self._standing_still()
+        )  # first: time that passes until the other is read counts now, not at the next call
+        return self._going_on() - standing_still
 
 
 def sleep_watch() -> SleepWatch | None:
