@@ -24,6 +24,7 @@ SLOW: Final = ("tests/drives/test_slow_position.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 CHANNELS: Final = ("tests/drives/test_stop_beside_channels.py",)
 OTHERS: Final = ("tests/drives/test_whoever_else_speaks.py",)
+TWO_MASTERS: Final = ("tests/drives/test_two_masters.py",)
 
 _STATE: Final = "drives/axis/state.py"
 _HALTING: Final = "drives/axis/halting.py"
@@ -253,9 +254,17 @@ DRIVE_MUTANTS: Final = tuple(
             SLOW,
         ),
         (
+            "disturbed_stop_gives_up",
+            "drives/axis/controlword.py",
+            "insist(axis, controlword)\n    except SdoTransferError as failed:\n        if failed.origin is not",
+            "insist(axis, controlword)\n    except SdoTransferError as failed:\n        if failed.origin is",
+            "a stop fails, and looks no more at the drive, because another program speaks to the drive at the same moment",
+            TWO_MASTERS,
+        ),
+        (
             "stop_once",
             _STATE,
-            "(insist if state in POWERED and not goes_up else command)",
+            "(insist_and_look if state in POWERED and not goes_up else command)",
             "command",
             "a stop that was lost is not sent again to a drive that has just shown its state",
             STOP_FIRST,

@@ -17,7 +17,7 @@ from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
-from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
+from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist, insist_and_look
 from canopen_proto.drives.axis.exclusive_motion import stops
 from canopen_proto.drives.axis.failures import DriveTimeoutError, TakenOverError, as_drive_errors, is_loss, name_of
 from canopen_proto.drives.axis.units import read_number
@@ -161,12 +161,8 @@ def halt_first(axis: Axis) -> Procedure[bool]:
 
 
 def _send_halt(axis: Axis) -> Procedure[None]:
-    """Send the word that halts the drive. If another master has disturbed its answer, the drive shows whether it came."""
-    try:
-        yield from insist(axis, (yield from _halt_word(axis)))
-    except SdoTransferError as failed:
-        if failed.origin is not AbortOrigin.CONTESTED:
-            raise
+    """Send the word that halts the drive."""
+    yield from insist_and_look(axis, (yield from _halt_word(axis)))
 
 
 def _statusword_now(axis: Axis) -> Procedure[int]:
