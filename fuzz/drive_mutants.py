@@ -25,6 +25,7 @@ STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 CHANNELS: Final = ("tests/drives/test_stop_beside_channels.py",)
 OTHERS: Final = ("tests/drives/test_whoever_else_speaks.py",)
 TWO_MASTERS: Final = ("tests/drives/test_two_masters.py",)
+STREAMS: Final = ("tests/drives/test_streams_whoever_else_speaks.py",)
 
 _STATE: Final = "drives/axis/state.py"
 _HALTING: Final = "drives/axis/halting.py"
@@ -252,6 +253,22 @@ DRIVE_MUTANTS: Final = tuple(
             "    if False:\n        raise",
             "a target under way ends the halt of another task, or enables a drive that was led down",
             SLOW,
+        ),
+        (
+            "pdo_enables_again",
+            "drives/axis/axis.py",
+            "            self._store[objects.CONTROLWORD] = stays\n",
+            "            stays = self.controlword\n",
+            "a drive that another master disables has power again with the next PDO of a stream, and goes on along its path",
+            STREAMS,
+        ),
+        (
+            "held_pdo_enables_again",
+            "drives/axis/axis.py",
+            "            self.node.replace_held(objects.CONTROLWORD, stays, now)\n",
+            "",
+            "the PDO that a drive holds for the next SYNC enables it, though another master has just disabled it",
+            STREAMS,
         ),
         (
             "disturbed_stop_gives_up",
