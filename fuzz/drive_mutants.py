@@ -255,6 +255,14 @@ DRIVE_MUTANTS: Final = tuple(
             SLOW,
         ),
         (
+            "halt_that_no_pdo_brings",
+            _HALTING,
+            "(self._is_overruled() or self._is_unheard())",
+            "self._is_overruled()",
+            "a drive in csv whose node is set to Pre-operational runs on for two seconds, since its halt goes by a PDO",
+            STREAMS,
+        ),
+        (
             "pdo_enables_again",
             "drives/axis/axis.py",
             "            self._store[objects.CONTROLWORD] = stays\n",

@@ -208,6 +208,15 @@ def test_nor_is_one_that_stands_behind_a_stream() -> None:
     assert bench.run(stream(bench.axis, bench)) == "", "the next motion enables it"
 
 
+def test_a_halt_by_pdo_is_sent_again_to_a_node_that_turns_out_to_hear_no_pdos() -> None:
+    """It was set to Pre-operational, and only its next heartbeat says so. A drive in csv repeats its last velocity meanwhile."""
+    bench = StreamBench(CSV)
+    bench.disturb(113, bench.say("000#8005"))
+    assert "is silent" in bench.run(stream(bench.axis, bench))
+    assert bench.drive.stands
+    assert bench.drive.furthest < 4000
+
+
 @pytest.mark.parametrize("name", MODES)
 def test_whatever_happens_at_any_step_a_stream_ends_at_rest_and_tells_the_truth(name: str) -> None:
     draws, mode = random.Random(name), MODES[name]
