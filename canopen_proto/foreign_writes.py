@@ -13,7 +13,7 @@ Source: CiA 301 v4.2.0, 7.2.4.3.3 (SDO download initiate), 7.3.3 (predefined con
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Set
+from collections.abc import Callable, Collection, Iterable, Mapping, Set
 from typing import Final, NamedTuple
 
 from canopen_proto.datatypes import Value, ValueRangeError
@@ -39,7 +39,7 @@ class ForeignWrite(NamedTuple):
 class ForeignWrites(Machine):
     """Hears the commands of other masters to one node; see this module's text. Hears nothing until `listen`."""
 
-    __slots__ = ("_dictionary", "_node_id", "_pdos", "_rpdos", "_sdo_key", "_unread", "_wanted", "_written")
+    __slots__ = ("_dictionary", "_listeners", "_node_id", "_pdos", "_rpdos", "_sdo_key", "_unread", "_wanted", "_written")
 
     def __init__(
         self,
@@ -59,10 +59,12 @@ class ForeignWrites(Machine):
         self._wanted: set[Mux] = set()
         self._written: dict[Mux, ForeignWrite] = {}
         self._pdos: dict[RoutingKey, tuple[Time, bytes]] = {}
+        self._listeners: tuple[Callable[[Time], None], ...] = ()
 
-    def listen(self, muxes: Collection[Mux]) -> None:
-        """Hear writes of these objects, too."""
+    def listen(self, muxes: Collection[Mux], listener: Callable[[Time], None]) -> None:
+        """Hear writes of these objects, too. listener: called at once, with its time, when a write or an RPDO was heard."""
         self._wanted.update(muxes)
+        self._listeners = (*self._listeners, listener)
         self._reroute()
 
     def renew(self) -> None:
@@ -113,10 +115,12 @@ class ForeignWrites(Machine):
         data = frame.data
         if frame.key != self._sdo_key:
             self._pdos[frame.key] = now, data
-        elif len(data) == 8 and REQUESTS[data[0]] is SdoFrame.DOWNLOAD:
-            which = mux_in(data)
-            if which in self._wanted:
-                self._written[which] = ForeignWrite(now, frame.key, self._value(which, data))
+        elif len(data) == 8 and REQUESTS[data[0]] is SdoFrame.DOWNLOAD and (which := mux_in(data)) in self._wanted:
+            self._written[which] = ForeignWrite(now, frame.key, self._value(which, data))
+        else:
+            return
+        for listener in self._listeners:
+            listener(now)
 
     def _value(self, which: Mux, request: bytes) -> Value | None:
         variable, data = self._dictionary.get(*split_mux(which)), expedited_data(request)

@@ -24,6 +24,8 @@ SLOW: Final = ("tests/drives/test_slow_position.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 CHANNELS: Final = ("tests/drives/test_stop_beside_channels.py",)
 OTHERS: Final = ("tests/drives/test_whoever_else_speaks.py",)
+TWO_MASTERS: Final = ("tests/drives/test_two_masters.py",)
+STREAMS: Final = ("tests/drives/test_streams_whoever_else_speaks.py",)
 
 _STATE: Final = "drives/axis/state.py"
 _HALTING: Final = "drives/axis/halting.py"
@@ -253,9 +255,41 @@ DRIVE_MUTANTS: Final = tuple(
             SLOW,
         ),
         (
+            "halt_that_no_pdo_brings",
+            _HALTING,
+            "(self._is_overruled() or self._is_unheard())",
+            "self._is_overruled()",
+            "a drive in csv whose node is set to Pre-operational runs on for two seconds, since its halt goes by a PDO",
+            STREAMS,
+        ),
+        (
+            "pdo_enables_again",
+            "drives/axis/axis.py",
+            "            self._store[objects.CONTROLWORD] = stays\n",
+            "            stays = self.controlword\n",
+            "a drive that another master disables has power again with the next PDO of a stream, and goes on along its path",
+            STREAMS,
+        ),
+        (
+            "held_pdo_enables_again",
+            "drives/axis/axis.py",
+            "            self.node.replace_held(objects.CONTROLWORD, stays, now)\n",
+            "",
+            "the PDO that a drive holds for the next SYNC enables it, though another master has just disabled it",
+            STREAMS,
+        ),
+        (
+            "disturbed_stop_gives_up",
+            "drives/axis/controlword.py",
+            "insist(axis, controlword)\n    except SdoTransferError as failed:\n        if failed.origin is not",
+            "insist(axis, controlword)\n    except SdoTransferError as failed:\n        if failed.origin is",
+            "a stop fails, and looks no more at the drive, because another program speaks to the drive at the same moment",
+            TWO_MASTERS,
+        ),
+        (
             "stop_once",
             _STATE,
-            "(insist if state in POWERED and not goes_up else command)",
+            "(insist_and_look if state in POWERED and not goes_up else command)",
             "command",
             "a stop that was lost is not sent again to a drive that has just shown its state",
             STOP_FIRST,

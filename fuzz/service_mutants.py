@@ -169,6 +169,14 @@ SERVICE_MUTANTS: Final = tuple(
             CONTENTION,
         ),
         (
+            "held_off_for_ever",
+            _CONTENTION,
+            "bool(self._open.get(name)) or",
+            "name in self._names or",
+            "a program waits for as long as another one asks for the same object again and again",
+            FAIRNESS,
+        ),
+        (
             "same_object_believed",
             _CONTENTION,
             "transfer.name not in names and ",

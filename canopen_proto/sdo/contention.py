@@ -10,7 +10,8 @@ after ours was queued may have gone before it. All that is decided here is right
 
 `OtherClient` follows what strangers have under way, as far as requests and answers tell. An exchange is over with its last answer
 or an abort. It also counts as over if nothing was heard of it for a while: the time-out (1 s in block transfer, whose sides may
-pause) if the server has to answer, PAUSE if it is the stranger's turn.
+pause) if the server has to answer, PAUSE if it is the stranger's turn. Where exchanges overlap, the answers about each object are
+counted: a stranger that goes on asking for one object holds nobody off for longer than the answers that are due.
 
 `Contested` stands for a request whose initiate answer is due while a stranger asks for another object. An expedited answer names
 its object, so it is still taken; so is the server's refusal, if it names the object and is not about the protocol. Everything
@@ -33,6 +34,7 @@ from canopen_proto.sdo.codec import (
     END_RESPONSE,
     EXPEDITED_BIT,
     INITIATE_UPLOAD_RESPONSE,
+    INITIATES,
     KIND,
     LAST,
     REQUESTS,
@@ -70,8 +72,8 @@ class OtherClient:
     """
 
     __slots__ = (
-        "_is_ambiguous", "_is_twofold", "_names", "_written", "count", "heard", "heard_at", "in_blocks", "last", "unfinished",
-        "until",
+        "_is_ambiguous", "_is_twofold", "_names", "_open", "_written", "count", "heard", "heard_at", "in_blocks", "last",
+        "unfinished", "until",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -93,6 +95,7 @@ class OtherClient:
         self.until: Time = -NEVER
         self._names: set[bytes] = set()  # of the objects whose answers may still come
         self._written: set[bytes] = set()  # those of them whose answer may be that to a write
+        self._open: dict[bytes, int] = {}  # how many answers about each of them are still to come
         self._is_twofold = False  # the last request names an object that another open one names
         self._is_ambiguous = False  # several exchanges overlap: no answer is the last one for certain
 
@@ -101,6 +104,7 @@ class OtherClient:
         self._is_ambiguous |= bool(self._names)
         self._names.add(name)
         self._written.add(name)
+        self._open[name] = self._open.get(name, 0) + 1
 
     def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
         """Take a stranger's request. ours: our own transfer that is under way. data: eight bytes. timeout: ns, after which it
@@ -128,16 +132,20 @@ class OtherClient:
     def _note(self, data: bytes, ours: Transfer | None) -> None:
         """Note the name of an object whose answer may come. data: an initiate request."""
         name = data[1:4]
-        self._is_twofold = name in self._names or (ours is not None and name == ours.name)
+        self._is_twofold = bool(self._open.get(name)) or (ours is not None and name == ours.name)
         self._is_ambiguous |= bool(self._names) or self._is_twofold
         if len(self._names) <= MAX_NAMES:
             self._names.add(name)
+            self._open[name] = self._open.get(name, 0) + 1
             if REQUESTS[data[0]] is not SdoFrame.UPLOAD:
                 self._written.add(name)
 
     def on_answer(self, data: bytes, timeout: Time, now: Time) -> None:
         """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way. data: eight bytes.
         timeout: ns, as of `on_request`."""
+        name = data[1:4]
+        if self._open.get(name) and not self.in_blocks and RESPONSES[data[0]] in INITIATES:  # an abort may be about an older one
+            self._open[name] -= 1
         if not self.last or self.last[0] == ABORT:
             return
         if self._is_last_answer(data) and (not self._is_ambiguous or self._is_idle_after(data)):

@@ -160,7 +160,7 @@ class Bus:
             lambda: [each.set_enabled(not each.enabled, now) for each in drive.tpdos.values()],
             lambda: network.attach(self.buggy),
             lambda: network.detach(self.buggy),
-            lambda: other.foreign_writes.listen([objects.CONTROLWORD]),
+            lambda: other.foreign_writes.listen([objects.CONTROLWORD], lambda now: None),
             lambda: drive.add_mpdo(Direction.TPDO, 4, routing_key(0x485)),
             lambda: network.run(after(drive, EmcyReceived, PdoReceived), now),
             lambda: network.run(after(other, PdoReceived, HeartbeatReceived, PdoReceived), now),

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import itertools
+from random import Random
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, Event, Outbox, RequestId, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, RequestId, Time
+from canopen_proto.procedures.objects import read
+from canopen_proto.procedures.steps import Procedure, current_time, sleep
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.request_queue import MAX_URGENT_RUN
 from canopen_proto.sdo.server import SdoServer
+from canopen_proto.testing import World, WorldMaster
 from tests.core.bus import Bus
 
 NODE = 12
@@ -106,6 +112,30 @@ def test_urgent_tasks_take_turns_too_and_leave_some_to_the_others(order: list[in
         # A single task has not asked again yet when the transfer after its own begins.
         gap = 2 if len(hurried) == 1 else MAX_URGENT_RUN + (2 if len(patient) == 1 else 1)
         assert {later - earlier for earlier, later in itertools.pairwise(turns[1:])} == {gap}
+
+
+@pytest.mark.parametrize("pause", [1, 3, 10])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_programs_that_ask_for_one_object_again_and_again_both_get_it(pause: int, seed: int) -> None:
+    """Each hears the other one's requests. Once they have met, neither waits for as long as the other one goes on asking."""
+    world = World(seed=seed)
+    world.drive(NODE)
+    draws = Random(seed)
+    waits: list[Time] = []
+
+    def asks(node: RemoteNode) -> Procedure[None]:
+        for _ in range(60):
+            began = yield from current_time()
+            yield from read(node, "statusword")
+            waits.append((yield from current_time()) - began)
+            yield from sleep(draws.randrange(1, 2 * pause * MILLISECOND))
+
+    masters = [world.master(), world.master()]
+    requests = [master.start(asks(master.node(NODE))) for master in masters]
+    world.run_until(lambda: all(map(WorldMaster.has_ended, masters, requests)), 60 * SECOND)
+    for master, request in zip(masters, requests, strict=True):
+        master.result(request)
+    assert max(waits) < 2 * SECOND
 
 
 def test_one_that_is_held_does_not_hold_the_urgent_ones() -> None:

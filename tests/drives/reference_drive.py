@@ -1,9 +1,11 @@
 """A drive of CiA 402 that is written for tests alone, from the standard: it shares no code with the simulated drive.
 
 It takes frames as they are on the wire: SDO of up to four bytes, RPDO 1 with the controlword, NMT, SYNC, the master's heartbeat.
+`stream_by` makes it send and take PDOs at SYNCs: RPDO 2 with the controlword and a set-point, TPDO 1 with what it does.
 It moves in steps of 1 ms whenever it is looked at, so it always knows the truth: `speed`, `position`, `state`.
 
-Source: IEC 61800-7-201 (CiA 402-2), device control and the modes pp, pv, tq, hm; CiA 301 v4.2.0, 7.2.4, 7.2.7, 7.2.8.
+Source: IEC 61800-7-201 (CiA 402-2), device control and the modes pp, pv, tq, hm, ip, csp, csv; CiA 301 v4.2.0, 7.2.2, 7.2.4,
+7.2.5, 7.2.7, 7.2.8.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from canopen_proto.testing import World
 NODE: Final = 5
 SOD, RTSO, SO, OE, QSA, FRA, FAULT = "SOD", "RTSO", "SO", "OE", "QSA", "FRA", "FAULT"
 BITS: Final = {SOD: 0x40, RTSO: 0x21, SO: 0x23, OE: 0x27, QSA: 0x07, FRA: 0x0F, FAULT: 0x08}
-PP, PV, TQ, HM = 1, 3, 4, 6
+PP, PV, TQ, HM, IP, CSP, CSV = 1, 3, 4, 6, 7, 8, 9
 POWER_ON: Final[dict[int, tuple[int, int]]] = {  # mux -> bytes, value
     0x100000: (4, 0x20192), 0x100100: (1, 0), 0x101600: (1, 1), 0x101601: (4, 0), 0x101700: (2, 100),
     0x101800: (1, 4), 0x101801: (4, 0x1234), 0x600700: (2, 1), 0x603F00: (2, 0), 0x604000: (2, 0), 0x604100: (2, 0),
@@ -27,15 +29,21 @@ POWER_ON: Final[dict[int, tuple[int, int]]] = {  # mux -> bytes, value
     0x607A00: (4, 0), 0x607C00: (4, 0), 0x607D01: (4, -200_000), 0x607D02: (4, 200_000), 0x607F00: (4, 30_000),
     0x608100: (4, 20_000), 0x608200: (4, 0), 0x608300: (4, 40_000), 0x608400: (4, 40_000), 0x608500: (4, 80_000),
     0x608600: (2, 0), 0x609800: (1, 17), 0x609901: (4, 5000), 0x609902: (4, 1000), 0x609A00: (4, 40_000),
-    0x60A400: (1, 1), 0x60A401: (4, 0), 0x60C500: (4, 100_000), 0x60FD00: (4, 0), 0x60FF00: (4, 0), 0x650200: (4, 0x2D),
+    0x60A400: (1, 1), 0x60A401: (4, 0), 0x60B000: (4, 0), 0x60B100: (4, 0), 0x60B200: (2, 0),
+    0x60C101: (4, 0), 0x60C201: (1, 1), 0x60C202: (1, -3), 0x60C500: (4, 100_000), 0x60FD00: (4, 0), 0x60FF00: (4, 0),
+    0x650200: (4, 0x1ED),
 }  # fmt: skip
-SIGNED: Final = {0x606000, 0x606100, 0x606200, 0x606400, 0x606C00, 0x607100, 0x607700, 0x607A00, 0x607C00, 0x607D01, 0x607D02,
-                 0x609800, 0x60FF00, 0x605A00, 0x605D00, 0x600700, 0x608600}  # fmt: skip
+SIGNED: Final = {
+    0x606000, 0x606100, 0x606200, 0x606400, 0x606C00, 0x607100, 0x607700, 0x607A00, 0x607C00, 0x607D01, 0x607D02, 0x60B000,
+    0x60B100, 0x60B200, 0x60C101, 0x60C202, 0x609800, 0x60FF00, 0x605A00, 0x605D00, 0x600700, 0x608600,
+}  # fmt: skip
 READ_ONLY: Final = {0x604100, 0x606100, 0x606200, 0x606400, 0x606C00, 0x607700, 0x60FD00, 0x650200, 0x603F00, 0x100000, 0x100100}
 HOME_AT: Final = -3000.0
 """Where the home switch is, in counts from where the drive is switched on."""
 FRICTION: Final = 15_000.0
 """counts/s², of an axis without power."""
+WITHOUT_SYNC: Final = 100 * MILLISECOND
+"""So long a drive that follows set-points waits for a SYNC; then it brakes, and its bit 12 is 0 until the next one."""
 PUSH: Final = 60.0
 """counts/s² for a thousandth of the rated torque."""
 
@@ -43,7 +51,8 @@ PUSH: Final = 60.0
 class ReferenceDrive:
     """See this module's text. lag: from a controlword to when it acts. Steps are numbered: `before(number, frame)` is called with
     each frame of a master to this drive, and returns whether the drive hears it; `answers(number, frame)` returns the answers
-    that go out instead of the one it has, each with its delay. is_cut: nothing goes in or out.
+    that go out instead of the one it has, each with its delay. is_cut: nothing goes in or out. stream_by: the object that RPDO 2
+    carries beside the controlword; 0: it has no PDOs at SYNCs. lost_syncs: so many of the next ones do not come.
     """
 
     def __init__(self, world: World, *, lag: Time = 0) -> None:
@@ -54,6 +63,8 @@ class ReferenceDrive:
         self.answers: Callable[[int, Frame], list[tuple[Time, Frame]]] = lambda number, frame: [(0, frame)]
         self.steps = 0
         self.is_cut = False
+        self.stream_by = 0
+        self.lost_syncs = 0
         self.place = 0.0  # of the shaft; the position counts from `zero`
         self.zero = 0.0
         self.velocity = 0.0
@@ -80,6 +91,8 @@ class ReferenceDrive:
         self.homing = "none"  # none, runs, done, failed
         self.master_until = NEVER
         self.torque = 0.0
+        self._held = b""
+        self._synced_at = -NEVER
         self._alive += 1
         self.send(0x700 + NODE, b"\0")
         self._beat(self._alive)
@@ -111,7 +124,7 @@ class ReferenceDrive:
         can_id, data = frame.can_id, frame.data
         if self.is_cut:
             return
-        if can_id in (0x600 + NODE, 0x200 + NODE):
+        if can_id in (0x600 + NODE, 0x200 + NODE, 0x300 + NODE):
             self.steps += 1
             if not self.before(self.steps, frame) or self.is_cut:
                 return
@@ -120,10 +133,29 @@ class ReferenceDrive:
             self._sdo(data)
         elif can_id == 0x200 + NODE and self.nmt == 5:
             self.write(0x604000, int.from_bytes(data[:2], "little"))
+        elif can_id == 0x300 + NODE and self.nmt == 5 and self.stream_by:
+            self._held = data
+        elif can_id == 0x80:
+            self._sync()
         elif can_id == 0 and len(data) == 2 and data[1] in (0, NODE):
             self._command(data[0])
         elif can_id >> 7 == 0x700 >> 7 and self.store[0x101601] >> 16 & 0xFF == can_id & 0x7F:
             self.master_until = now + (self.store[0x101601] & 0xFFFF) * MILLISECOND
+
+    def _sync(self) -> None:
+        """CiA 301 v4.2.0, 7.2.2.3: what was held acts now, and a synchronous TPDO goes out."""
+        if self.lost_syncs:
+            self.lost_syncs -= 1
+            return
+        self._synced_at = self._now
+        if self.nmt != 5 or not self.stream_by:
+            return
+        if self._held:
+            held, self._held = self._held, b""
+            self.store[self.stream_by] = int.from_bytes(held[2:6], "little", signed=True)
+            self.write(0x604000, int.from_bytes(held[:2], "little"))
+        shown = self.statusword.to_bytes(2, "little") + self.mode.to_bytes(1, "little", signed=True)
+        self.send(0x180 + NODE, shown + round(self.position).to_bytes(4, "little", signed=True))
 
     def _command(self, command: int) -> None:
         if command in (0x81, 0x82):
@@ -202,7 +234,7 @@ class ReferenceDrive:
                 self._due.append((self._now + self.lag, value))
             else:
                 self._obey(value)
-        elif key == 0x606000 and value in (PP, PV, TQ, HM, 0):
+        elif key == 0x606000 and value in (PP, PV, TQ, HM, IP, CSP, CSV, 0):
             if value != self.store[0x606100]:
                 self.target, self.homing, self.has_acknowledged = None, "none", False
                 self.is_reached = False
@@ -236,8 +268,16 @@ class ReferenceDrive:
             if self.mode == HM:
                 reached = stopped if self.homing != "runs" or halted else False
                 word |= (1 << 12 if self.homing == "done" else 0) | (1 << 13 if self.homing == "failed" else 0)
+            if self.mode in (IP, CSP, CSV) and self._follows:
+                word |= 1 << 12
             word |= 0x400 if reached else 0
         return word | (0x800 if self.is_limited else 0)
+
+    @property
+    def _follows(self) -> bool:
+        """Whether it follows set-points: it gets SYNCs, is not halted, and in ip has the bit for it."""
+        is_active = self.mode != IP or bool(self.word & 0x10)
+        return is_active and not self.word & 0x100 and self._now - self._synced_at <= WITHOUT_SYNC
 
     # ---- device control ----
 
@@ -345,6 +385,8 @@ class ReferenceDrive:
             self._ramp(goal, store[0x608300] if abs(goal) > abs(self.velocity) else store[0x608400], dt)
             self.is_reached = self.velocity == goal
             self.demand = self.position
+        elif self.mode in (IP, CSP, CSV):
+            self._cycle(dt)
         elif self.mode == TQ:
             self.torque = float(store[0x607100])
             pull = self.torque * PUSH
@@ -379,6 +421,21 @@ class ReferenceDrive:
         self.acceleration = 0.0
         change = max(1.0, rate) * dt
         self.velocity += max(-change, min(change, goal - self.velocity))
+
+    def _cycle(self, dt: float) -> None:
+        """Follow a set-point: be there one period behind the SYNC that brought it."""
+        limit = self.store[0x607F00]
+        wanted = float(self.store[0x60FF00])
+        if self.mode != CSV:
+            period = self.store[0x60C201] * 10 ** (9 + self.store[0x60C202])
+            target = self.store[0x60C101] if self.mode == IP else self.store[0x607A00] + self.store[0x60B000]
+            wanted = (target - self.position) * SECOND / max(MILLISECOND, self._synced_at + period - self._now)
+        if not self._follows:
+            self._ramp(0.0, 40_000, dt)
+        else:
+            self.is_limited = abs(wanted) > limit
+            self.velocity = max(-limit, min(limit, wanted))
+        self.demand = self.position
 
     def _profile(self, dt: float) -> None:
         if self.target is None:

@@ -419,6 +419,25 @@ def test_a_halt_enables_no_drive_that_somebody_else_was_just_heard_to_disable(la
     assert not [each for each in bench.drive.enabled_at if each >= began]
 
 
+@pytest.mark.parametrize("name", ["move", "move, relative", "set of set-points", "torque"])
+def test_a_motion_whose_checks_fail_leaves_a_drive_as_it_is_and_one_that_has_begun_to_write_halts_it(name: str) -> None:
+    reads = 0
+    for step in range(1, 40):
+        bench = Bench()
+        running(bench)
+        bench.drive.before = lambda number, frame, step=step: number != step  # type: ignore[misc]
+        began = bench.world.now
+        error = bench.run(COMMANDS[name].make(bench.axis))
+        bench.drive.look()
+        if bench.words_after(began):
+            assert bench.drive.stands, step
+        else:
+            assert error
+            assert bench.drive.velocity == 10_000, step
+            reads += 1
+    assert reads
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_whatever_happens_at_any_step_a_command_ends_and_tells_the_truth(name: str) -> None:
     draws = random.Random(name)

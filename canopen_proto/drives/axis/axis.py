@@ -38,7 +38,7 @@ from canopen_proto.drives.axis.settings import SCHUNK_POWERBALL as SCHUNK_POWERB
 from canopen_proto.drives.axis.settings import AxisSettings as AxisSettings
 from canopen_proto.drives.axis.settings import HomingStyle as HomingStyle
 from canopen_proto.drives.cia402 import objects
-from canopen_proto.drives.cia402.states import FAULT_STATES, State, enables_operation, state_of
+from canopen_proto.drives.cia402.states import COMMAND_BITS, FAULT_STATES, ControlBit, State, enables_operation, state_of
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
@@ -109,7 +109,8 @@ class Axis:
         self.motion_began: Time = NEVER
         self.was_enabled = self.was_taken_down = False
         self.node.keep_commanded(objects.CONTROLWORD)
-        node.foreign_writes.listen([self.node.on_device(mux) for mux in (objects.CONTROLWORD, objects.MODES_OF_OPERATION)])
+        heard = [self.node.on_device(mux) for mux in (objects.CONTROLWORD, objects.MODES_OF_OPERATION)]
+        node.foreign_writes.listen(heard, self._on_foreign)
         self.node.add_listener(self._on_values, self._on_boot)
 
     @property
@@ -243,6 +244,16 @@ class Axis:
         if _STATUSWORD in muxes and (word := self._int(_STATUSWORD)) != self._shown:
             self._shown = word
             self._enter(state_of(word))
+
+    def _on_foreign(self, now: Time) -> None:
+        """Another master has written: an RPDO of ours, sent or held for a SYNC, does not enable a drive that it has disabled."""
+        if not enables_operation(self.controlword) or self.node.rpdo_of(objects.CONTROLWORD) is None:
+            return
+        word = self.remote.foreign_writes.last(self.node.on_device(objects.CONTROLWORD))
+        if word is not None and word.time == now and isinstance(word.value, int) and not enables_operation(word.value):
+            stays = word.value & COMMAND_BITS & ~ControlBit.FAULT_RESET
+            self._store[objects.CONTROLWORD] = stays
+            self.node.replace_held(objects.CONTROLWORD, stays, now)
 
     def _on_boot(self) -> None:
         if not self.settings.keeps_reference:

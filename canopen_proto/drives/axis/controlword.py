@@ -61,6 +61,16 @@ def insist(axis: Axis, controlword: int) -> Procedure[None]:
             yield from sleep(SPREAD)
 
 
+def insist_and_look(axis: Axis, controlword: int) -> Procedure[None]:
+    """`insist`, where the caller awaits that the drive shows the effect: so an answer that another SDO client has disturbed is no
+    failure. Most drives have heard the word all the same."""
+    try:
+        yield from insist(axis, controlword)
+    except SdoTransferError as failed:
+        if failed.origin is not AbortOrigin.CONTESTED:
+            raise
+
+
 @as_drive_errors
 def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[None]:
     """Send a controlword to the drive: by the live RPDO that carries it, else by confirmed SDO.

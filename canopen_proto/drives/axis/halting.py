@@ -4,7 +4,8 @@ The drive's speed and ramp decide how long that takes. So a halt waits step by s
 a step than at its beginning. A step takes `reaction_time` plus `halt_time`. A drive that does not get slower is reported after
 one step. A drive that loses its power during a halt may coast: it stands once its position stays.
 
-Another master may take the halt back, by a controlword without bit 8. Then the halt is sent again, OVERRULED times at most.
+Another master may take the halt back, by a controlword without bit 8. Then the halt is sent again, OVERRULED times at most. So is
+a halt that went by RPDO, if a heartbeat shows then that the node is not Operational, and hears no PDOs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
-from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
+from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist, insist_and_look
 from canopen_proto.drives.axis.exclusive_motion import stops
 from canopen_proto.drives.axis.failures import DriveTimeoutError, TakenOverError, as_drive_errors, is_loss, name_of
 from canopen_proto.drives.axis.units import read_number
@@ -161,12 +162,8 @@ def halt_first(axis: Axis) -> Procedure[bool]:
 
 
 def _send_halt(axis: Axis) -> Procedure[None]:
-    """Send the word that halts the drive. If another master has disturbed its answer, the drive shows whether it came."""
-    try:
-        yield from insist(axis, (yield from _halt_word(axis)))
-    except SdoTransferError as failed:
-        if failed.origin is not AbortOrigin.CONTESTED:
-            raise
+    """Send the word that halts the drive."""
+    yield from insist_and_look(axis, (yield from _halt_word(axis)))
 
 
 def _statusword_now(axis: Axis) -> Procedure[int]:
@@ -394,13 +391,14 @@ class _Standstill:
         self._axis = axis
         self._began = began
         self._minds_others = minds_others
+        self._by_rpdo = axis.node.rpdo_of(objects.CONTROLWORD) is not None
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_moving = False  # as its bits showed
         self._looked_at: Time = -NEVER
         self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
 
     def judge(self, statusword: int, heard_at: Time) -> bool | None:
-        """Return True if the drive stands, False if another master has taken the halt back, None if it is not certain."""
+        """Return True if the drive stands, False if the halt has to be sent again, None if it is not certain."""
         self._look()
         self.may_obey_late = False
         state = state_of(statusword)
@@ -413,7 +411,7 @@ class _Standstill:
         self.watch.goal = _WITH_POWER if state in POWERED else _WITHOUT_POWER
         if state not in POWERED:
             return not has_position or self._is_at_one_place() or None
-        if self._minds_others and state is State.OPERATION_ENABLED and self._is_overruled():
+        if self._minds_others and state is State.OPERATION_ENABLED and (self._is_overruled() or self._is_unheard()):
             return False
         if self._is_schunk:
             stands = not statusword & StatusBit.MANUFACTURER_8
@@ -439,6 +437,10 @@ class _Standstill:
         if heard is None or ours is None or heard.time < ours:
             return False
         return isinstance(heard.value, int) and _runs(heard.value)
+
+    def _is_unheard(self) -> bool:
+        """Return whether the halt went by an RPDO to a node that has turned out to hear none: it was not Operational."""
+        return self._by_rpdo and self._axis.node.rpdo_of(objects.CONTROLWORD) is None
 
     def _knows(self, mux: Mux) -> bool:
         """Return whether the object was heard, or will never be."""

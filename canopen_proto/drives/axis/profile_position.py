@@ -61,7 +61,8 @@ def move_to(
     timeout: ns for the whole way. Raises LimitReachedError; nothing is sent if the target is beyond min_position or max_position
     of the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
     DriveInFaultError, StateLostError, ModeLostError, DriveLostError, ModeUnsupportedError, StepTimeoutError; ReferenceLostError
-    for a position that is not relative. The drive is halted if this fails or is cancelled.
+    for a position that is not relative. The drive is halted if this fails or is cancelled, once anything was
+    written: the checks before stop no motion that somebody else has begun.
     """
     if not relative:
         require_reference(axis)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
+from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, insist_and_look, put
 from canopen_proto.drives.axis.digital_io import return_brake
 from canopen_proto.drives.axis.exclusive_motion import moves, stops
 from canopen_proto.drives.axis.failures import (
@@ -89,7 +89,7 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
         began = yield from current_time()
         try:
             if step is not None:
-                yield from (insist if state in POWERED and not goes_up else command)(axis, int(step))
+                yield from (insist_and_look if state in POWERED and not goes_up else command)(axis, int(step))
             statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
         except (Cancelled, StepTimeoutError, SdoTransferError):
             axis.leave_unanswered(f"the way to {target}")
@@ -128,7 +128,7 @@ def _take_power_first(axis: Axis, target: State) -> Procedure[None]:
     if axis.fresh_statusword((yield from current_time())) is not None:
         return
     if target in STAYS and (axis.state in (State.UNKNOWN, *POWERED) or may_be_enabled(axis)):
-        yield from insist(axis, int(STAYS[target]))
+        yield from insist_and_look(axis, int(STAYS[target]))
 
 
 @moves
@@ -265,7 +265,7 @@ def _state_below(axis: Axis, state: State) -> State | None:
 @as_drive_errors
 def quick_stop(axis: Axis) -> Procedure[None]:
     """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
-    yield from insist(axis, int(Command.QUICK_STOP))
+    yield from insist_and_look(axis, int(Command.QUICK_STOP))
     yield from return_brake(axis)
     stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
     try:

@@ -114,7 +114,8 @@ def move_along(axis: Axis, targets: Iterable[ProfileTarget], *, timeout: Time) -
     is sent, and again where a target counts from a position that only shows on the way. Raises LimitReachedError, DriveError (the
     drive lacks an object, or a queue, that a target needs), LocalProtocolError (a velocity unit that is not known; an end
     velocity of the last target), ValueRangeError, ReferenceLostError, DriveInFaultError, StateLostError, ModeLostError,
-    DriveLostError, ModeUnsupportedError, StepTimeoutError. The drive is halted if this fails or is cancelled.
+    DriveLostError, ModeUnsupportedError, StepTimeoutError. The drive is halted if this fails or is cancelled, once
+    anything was written: the checks before stop no motion that somebody else has begun.
     """
     points = tuple(targets)
     if not points:

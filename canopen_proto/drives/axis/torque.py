@@ -48,7 +48,8 @@ def apply_torque(
     Raises LimitReachedError if a limit of position or speed is left, or the torque is more than 0x6072; DriveError if the torque
     is less than a thousandth, the slope cannot be written, or nothing limits the speed; ValueRangeError; ReferenceLostError,
     ModeUnsupportedError, DriveInFaultError, StateLostError, ModeLostError, DriveLostError, StepTimeoutError, SdoTransferError.
-    The drive is halted if this fails or is cancelled.
+    The drive is halted if this fails or is cancelled, once anything was written: the checks before stop no motion that somebody
+    else has begun.
     """
     if duration < 0:
         raise LocalProtocolError(f"duration must not be below 0; it is {duration!r}")
