@@ -375,7 +375,7 @@ def test_whatever_was_mapped_anew_never_is_another_master_said_to_have_written_w
     heard, objects = remote.foreign_writes, (Mux(0x3000_00), Mux(0x3001_00))
     network.run(exchange_device_pdos(remote), bus.now)
     bus.run(SECOND)
-    heard.listen(objects)
+    heard.listen(objects, lambda now: None)
 
     def said() -> list[Any]:
         bus.run(MILLISECOND)
