@@ -16,7 +16,7 @@ def counted(number: int, what: str) -> str:
 
 
 class ErrorWords(TypedDict, total=False):
-    """What an error may say beside what failed, as `Explained` takes it: classes with fields of their own pass it on."""
+    """What an error may say beside what failed; see `Explained`. An error class with fields of its own passes these words on."""
 
     seen: str
     cause: str

@@ -1,7 +1,7 @@
-"""`SleepWatch`: how long the computer slept, which the clock of the loop does not tell on Linux: CLOCK_MONOTONIC stands still
-meanwhile, and a laptop that is opened again would move its joints on as if it had never been closed.
+"""`SleepWatch`: how long the computer slept.
 
-On Windows, and where a virtual machine was held, the clock of the loop goes on: what is late then is late by it.
+On Linux the clock of the loop, CLOCK_MONOTONIC, stands still meanwhile: a laptop that is opened again would move its joints on as
+if it had never been closed. On Windows, and where a virtual machine was held, that clock goes on, and shows the gap itself.
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ class SleepWatch:
         return max(0, self._before - before)
 
     def _apart(self) -> Time:
-        standing_still = (
-            self._standing_still()
-        )  # first: time that passes until the other is read counts now, not at the next call
+        # This one first: time that passes until the other is read counts now, not at the next call
+        standing_still = self._standing_still()
         return self._going_on() - standing_still
 
 
